@@ -13,8 +13,7 @@ from ebamcheck.errors import SettingsError
 from ebamcheck.pipeline import findings
 from ebamcheck.program import read_program, verify_program, write_program
 from ebamcheck.settings.config import Config
-from ebamcheck.writing.cuts import segment_lengths, segment_parts
-from ebamcheck.writing.segments import CIRCULAR, CUBIC, STRAIGHT
+from ebamcheck.writing.segments import CIRCULAR, CUBIC, STRAIGHT, segment_lengths, segment_parts
 
 WIDE = {"travel_min_mm": (-2000.0, -2000.0, 0.0), "travel_max_mm": (2000.0, 2000.0, 2000.0)}
 ENDS = {

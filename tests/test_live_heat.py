@@ -12,6 +12,7 @@ from live_boxes import maker_of, run_of_box
 from prism_program import CONFIG, Made
 
 import ebamcheck
+from ebamcheck.checks.heat_again import BeadHeat
 from ebamcheck.checks.interpass_checks import INTERPASS
 from ebamcheck.checks.metal import deposit
 from ebamcheck.checks.metal_rules import MetalBelow, deposit_checks
@@ -20,7 +21,7 @@ from ebamcheck.live import verifying
 from ebamcheck.live.before import Before, metal_checks
 from ebamcheck.live.building import Building
 from ebamcheck.live.making import LayerMaker, Wanted
-from ebamcheck.live.verifying import FollowedLayers, LayerText, verify_build
+from ebamcheck.live.verifying import FollowedLayers, verify_build
 from ebamcheck.metal import Surface
 from ebamcheck.program import read_program
 from ebamcheck.settings.config import Config
@@ -115,14 +116,15 @@ def test_a_slim_column_on_a_wide_foot_is_followed_from_the_plate_up(monkeypatch)
     def text(section, beads):
         off_s = np.full(beads, 0.3)
         off_s[0] = 60.0
-        return LayerText(section, 1.7, Config(), off_s, np.full(beads, 30.0), np.full(beads, 9e4))
+        heat = BeadHeat(np.zeros(beads, np.int64), off_s, np.full(beads, 30.0), np.full(beads, 9e4))
+        return heat, section
 
     def said(layers):
         texts = iter(layers)
         monkeypatch.setattr(verifying, "layer_text", lambda *_: next(texts))
-        stack, found = FollowedLayers(), []
+        stack, found, config = FollowedLayers(), [], Config(layers={"layer_height_mm": 1.7})
         for _ in layers:
-            found.append(stack.too_warm(None, {}, Config()))
+            found.append(stack.too_warm(None, {}, config))
             stack.take()
         return found
 

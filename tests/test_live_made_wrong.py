@@ -12,7 +12,7 @@ from command_line import write_stl
 
 from ebamcheck.checks.mesh_checks import heights_check, layer_check
 from ebamcheck.live import building as building_module
-from ebamcheck.live import publishing
+from ebamcheck.live import height_map, publishing
 from ebamcheck.live.building import Building
 from ebamcheck.live.heights import HeightRule
 from ebamcheck.live.making import LayerMaker
@@ -124,9 +124,9 @@ def ends_too_soon(monkeypatch):
 
 
 def another_height_is_read(monkeypatch):
-    right = building_module.reading_of
+    right = height_map.reading_of
     monkeypatch.setattr(
-        building_module,
+        height_map,
         "reading_of",
         lambda message: replace(right(message), height_mm=message["height_mm"] - 0.4),
     )

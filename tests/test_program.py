@@ -24,7 +24,7 @@ from ebamcheck.program import (
     write_program,
 )
 from ebamcheck.settings.config import Config
-from ebamcheck.writing.segments import chords, spans
+from ebamcheck.writing.segments import bezier_places, chords, spans
 
 FORMS = {
     "poly": {"curve_form": "poly"},
@@ -86,9 +86,9 @@ def test_spans_are_the_spline_by_geomdl(seed, controls):
     assert len(found.bezier) == breaks.size - 1
     b = found.bezier
     for t in (0.0, 0.3, 1.0):
-        powers = b[:, 0] + 3 * t * (b[:, 1] - b[:, 0]) + t**2 * found.quadratic + t**3 * found.cubic
+        places = bezier_places(b, np.full(len(b), t))
         expected = geomdl_points(control, knots, np.minimum(breaks[:-1] + t * np.diff(breaks), knots[-1]))
-        assert np.abs(powers - expected).max() < 1e-9
+        assert np.abs(places - expected).max() < 1e-9
 
 
 @given(st.integers(0, 2**32 - 1), st.floats(1e-3, 1.0))

@@ -162,7 +162,7 @@ def test_a_loss_of_a_hundredth_of_the_bound_over_the_tolerance_is_found_and_expl
     assert (growth.column, growth.count) == ("depth_mm", solid)
     assert growth.largest == pytest.approx(change.new - change.old, abs=2e-6)
     first = growth.places[0]
-    assert (first.layer, first.z_mm, first.old) == (0, 0.0, pytest.approx(ROUGH_MM, abs=1e-6))
+    assert (first.layer, first.z_mm, first.old) == (1, 0.0, pytest.approx(ROUGH_MM, abs=1e-6))
     assert -0.1 <= first.x_mm <= 20.1
     assert -0.1 <= first.y_mm <= 12.1
     text = "\n".join(found.lines())
@@ -340,7 +340,7 @@ def test_an_entry_is_worse_exactly_if_a_layer_grew_beyond_its_tolerance(depths, 
     assert (found.verdict == "worse") == grown
     if grown:
         places = [p for c in found.changes if c.growth for p in c.growth.places]
-        assert {p.layer for p in places} == {k}
+        assert {p.layer for p in places} == {k + 1}
         assert {(p.old, p.new) for p in places} == {(old[k], new[k])}
 
 
@@ -348,7 +348,7 @@ def test_a_loss_on_one_layer_does_not_hide_behind_a_worse_one():
     found = held_to(entry_of([0.5, 0.2, 0.0]), entry_of([0.5, 0.1, 0.1]))
     assert found.verdict == "worse"
     (change,) = [c for c in found.changes if c.worse]
-    assert (change.metric, change.growth.places[0].layer) == ("depth_mm", 1)
+    assert (change.metric, change.growth.places[0].layer) == ("depth_mm", 2)
 
 
 def test_a_gain_is_told_and_fails_nothing():

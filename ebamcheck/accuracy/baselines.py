@@ -8,9 +8,12 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
+
+import numpy as np
 
 from ebamcheck.accuracy.measurement import (
     LAYER_COLUMNS,
@@ -27,9 +30,7 @@ from ebamcheck.errors import InputError
 from ebamcheck.json_values import plain, read_json
 
 FORMAT_VERSION = 1
-
 STORED = (MEASURED, REFUSED)  # a refusal with its reason is an accepted answer, a crash never is
-
 UpdateMode = Literal["failed", "all"]
 
 
@@ -62,80 +63,52 @@ class Entry:
 
     def record(self) -> dict[str, Any]:
         """The entry as strict JSON holds it."""
-        measured = self.measured
-        return {
-            "backend": self.key.backend,
-            "settings": dict(self.settings),
-            "status": measured.status,
-            "why": measured.why,
-            "metrics": dict(measured.metrics),
-            "layers": {name: list(column) for name, column in measured.columns.items()},
-            "metadata": dict(self.metadata),
-        }
+        measured = dict(vars(self.measured))
+        layers = {name: list(column) for name, column in measured.pop("columns").items()}
+        known = {"settings": dict(self.settings), "metadata": dict(self.metadata), "layers": layers}
+        return {"backend": self.key.backend, **measured, **known}
 
 
 def read_baselines(folder: Path, models: Iterable[str]) -> dict[Key, Entry]:
     """Read the baselines of the models named; a model without a file has none."""
-    found: dict[Key, Entry] = {}
-    for model in models:
-        path = _file(folder, model)
-        if path.is_file():
-            found.update({entry.key: entry for entry in _read(path, model)})
-    return found
+    paths = {model: folder / f"{model}.json" for model in models}
+    found = [entry for model, path in paths.items() if path.is_file() for entry in _read(path, model)]
+    return {entry.key: entry for entry in found}
 
 
 def _read(path: Path, model: str) -> list[Entry]:
     try:
-        values = read_json(path)
+        values, found = read_json(path), []
         if values["format"] != FORMAT_VERSION:
-            raise InputError(
-                f"{path}: has format {values['format']!r}, this version reads {FORMAT_VERSION}: "
-                "write it anew with --update-baseline=all"
-            )
-        return [_entry(model, name, record) for name, record in values["entries"].items()]
+            what = f"this version reads {FORMAT_VERSION}: write it anew with --update-baseline=all"
+            raise InputError(f"{path}: has format {values['format']!r}, {what}")
+        for name, record in values["entries"].items():
+            backend, _, settings_hash = name.rpartition(" ")
+            measured = Measured(record["status"], record["why"], record["metrics"], record["layers"])
+            key = Key(model, backend, settings_hash)
+            found.append(Entry(key, record["settings"], measured, record["metadata"]))
+        return found
     except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
         raise InputError(f"{path}: is no baseline ({type(error).__name__}: {error}): restore it") from None
-
-
-def _entry(model: str, name: str, record: Mapping[str, Any]) -> Entry:
-    backend, _, settings_hash = name.rpartition(" ")
-    measured = Measured(record["status"], record["why"], record["metrics"], record["layers"])
-    return Entry(Key(model, backend, settings_hash), record["settings"], measured, record["metadata"])
 
 
 def write_baselines(folder: Path, entries: Iterable[Entry], models: Iterable[str]) -> list[Path]:
     """Write the files of the models named, each whole or not at all; one without entries goes. Returns the files that changed."""
     folder.mkdir(parents=True, exist_ok=True)
-    by_model: dict[str, list[Entry]] = {model: [] for model in models}
-    for entry in sorted(entries, key=lambda e: e.key):
-        if entry.key.model in by_model:
-            by_model[entry.key.model].append(entry)
-    changed = []
-    for model, held in by_model.items():
-        path = _file(folder, model)
-        text = _text(model, held)
-        if not held:
-            if path.is_file():
-                path.unlink()
-                changed.append(path)
-        elif not path.is_file() or path.read_text(encoding="utf-8") != text:
+    held, changed = list(entries), []
+    for model in dict.fromkeys(models):
+        path = folder / f"{model}.json"
+        mine = {f"{e.key.backend} {e.key.settings_hash}": e.record() for e in held if e.key.model == model}
+        text = strict_json({"format": FORMAT_VERSION, "model": model, "entries": mine}) + "\n"
+        if (path.read_text(encoding="utf-8") if path.is_file() else None) == (text if mine else None):
+            continue
+        if mine:
             with replacing(path) as temporary:
                 temporary.write_text(text, encoding="utf-8")
-            changed.append(path)
+        else:
+            path.unlink()
+        changed.append(path)
     return changed
-
-
-def _file(folder: Path, model: str) -> Path:
-    return folder / f"{model}.json"
-
-
-def _text(model: str, entries: Iterable[Entry]) -> str:
-    values = {
-        "format": FORMAT_VERSION,
-        "model": model,
-        "entries": {f"{e.key.backend} {e.key.settings_hash}": e.record() for e in entries},
-    }
-    return strict_json(values) + "\n"
 
 
 def strict_json(value: Any, indent: int = 0) -> str:
@@ -157,34 +130,23 @@ def strict_json(value: Any, indent: int = 0) -> str:
     return json.dumps(plain(value), sort_keys=True, allow_nan=False, ensure_ascii=False)
 
 
-# -- differences -----------------------------------------------------------------------------------
-
-FIRST_PLACES = 3  # places that a difference names
-SAME_HEIGHT_MM = 1e-6
-
 Verdict = Literal["same", "worse", "better", "new", "vanished", "failed", "not run"]
-
-FAILING: tuple[Verdict, ...] = ("worse", "failed", "vanished")  # verdicts that make exit code 1
 
 
 @dataclass(frozen=True)
 class Place:
     """One layer on which a value grew."""
 
-    layer: int  # index, from 0
+    layer: int  # counted from 1
     z_mm: float
     x_mm: float | None
     y_mm: float | None
     old: float
     new: float
 
-    def record(self) -> dict[str, Any]:
-        """Return it as JSON has it: the number of the layer counts from 1."""
-        return {**vars(self), "layer": self.layer + 1}
-
     def __str__(self) -> str:
         at = "" if self.x_mm is None or self.y_mm is None else f", at ({self.x_mm:g}, {self.y_mm:g}) mm"
-        return f"layer {self.layer + 1}, z = {self.z_mm:g} mm{at}: {self.old:g} -> {self.new:g}"
+        return f"layer {self.layer}, z = {self.z_mm:g} mm{at}: {self.old:g} -> {self.new:g}"
 
 
 @dataclass(frozen=True)
@@ -199,10 +161,8 @@ class Growth:
     places: tuple[Place, ...]
 
     def __str__(self) -> str:
-        return (
-            f"{self.column}: {self.count} of {self.compared} layers worse, at most by {self.largest:g}, "
-            f"on average by {self.mean:g}"
-        )
+        by = f"at most by {self.largest:g}, on average by {self.mean:g}"
+        return f"{self.column}: {self.count} of {self.compared} layers worse, {by}"
 
 
 @dataclass(frozen=True)
@@ -223,16 +183,13 @@ class Change:
 
     def lines(self) -> list[str]:
         """The change in words: the figure, the layers behind it, the first places."""
-        text = f"{self.metric} {self.old:g} -> {self.new:g} ({self.new - self.old:+g}, tolerance {self.allowed:g})"
-        if self.growth is None:
-            return [text]
-        more = self.growth.count - len(self.growth.places)
-        return [
-            text,
-            f"  {self.growth}",
-            *(f"    {place}" for place in self.growth.places),
-            *([f"    and {more} more"] if more > 0 else []),
-        ]
+        by = f"{self.new - self.old:+g}, tolerance {self.allowed:g}"
+        lines = [f"{self.metric} {self.old:g} -> {self.new:g} ({by})"]
+        if self.growth is not None:
+            more = self.growth.count - len(self.growth.places)
+            lines += [f"  {self.growth}", *(f"    {place}" for place in self.growth.places)]
+            lines += [f"    and {more} more"] if more > 0 else []
+        return lines
 
 
 @dataclass(frozen=True)
@@ -248,7 +205,7 @@ class Difference:
     @property
     def fails(self) -> bool:
         """Whether it makes the report fail."""
-        return self.verdict in FAILING
+        return self.verdict in ("worse", "failed", "vanished")
 
     def lines(self) -> list[str]:
         """The difference in words."""
@@ -258,21 +215,8 @@ class Difference:
 
     def record(self) -> dict[str, Any]:
         """The difference as strict JSON holds it."""
-        changes = [_change_record(change) for change in self.changes]
-        return vars(self.key) | {
-            "title": self.title,
-            "verdict": self.verdict,
-            "why": self.why,
-            "changes": changes,
-        }
-
-
-def _change_record(change: Change) -> dict[str, Any]:
-    growth = change.growth
-    grown = (
-        None if growth is None else {**vars(growth), "places": [place.record() for place in growth.places]}
-    )
-    return {**vars(change), "growth": grown}
+        told = {"title": self.title, "verdict": self.verdict, "why": self.why}
+        return vars(self.key) | told | {"changes": [asdict(change) for change in self.changes]}
 
 
 def differences(
@@ -285,52 +229,39 @@ def differences(
 
     `not_run` has the backends that are not available here, and why: their baselines are neither met nor missed.
     """
+    gone = "it is in the baselines, but nothing measures it any more; --update-baseline=failed takes it out"
     found = []
     for key in sorted({*entries, *baselines}):
-        new, old = entries.get(key), baselines.get(key)
-        if new is None and old is not None:
-            found.append(_missing(old, not_run))
-        elif new is not None and (new.measured.status not in STORED or old is None):
-            found.append(_alone(new))
-        elif new is not None and old is not None:
-            found.append(_held(new, old, tolerances))
+        if key in entries:
+            found.append(_held(entries[key], baselines.get(key), tolerances))
+        elif key.backend in not_run:
+            found.append(Difference(key, baselines[key].title, "not run", not_run[key.backend]))
+        else:
+            found.append(Difference(key, baselines[key].title, "vanished", gone))
     return found
 
 
-def _missing(old: Entry, not_run: Mapping[str, str]) -> Difference:
-    if old.key.backend in not_run:
-        return Difference(old.key, old.title, "not run", not_run[old.key.backend])
-    why = "it is in the baselines, but nothing measures it any more; --update-baseline=failed takes it out"
-    return Difference(old.key, old.title, "vanished", why)
-
-
-def _alone(new: Entry) -> Difference:
-    status, why = new.measured.status, new.measured.why
-    if status not in STORED:
-        return Difference(new.key, new.title, "failed", f"{status}: {why}")
-    return Difference(new.key, new.title, "new", "" if status == MEASURED else f"{status}: {why}")
-
-
-def _held(new: Entry, old: Entry, tolerances: Tolerances) -> Difference:
-    now, before = new.measured, old.measured
-    if now.status != before.status:
+def _held(new: Entry, old: Entry | None, tolerances: Tolerances) -> Difference:
+    now, told = new.measured, partial(Difference, new.key, new.title)
+    why = "" if now.status == MEASURED else f"{now.status}: {now.why}"
+    if now.status not in STORED:
+        return told("failed", why)
+    if old is None:
+        return told("new", why)
+    if now.status != (was := old.measured.status):
         verdict: Verdict = "better" if now.status == MEASURED else "worse"
-        return Difference(
-            new.key, new.title, verdict, f"was {before.status}, is {now.status}: {now.why or 'measured'}"
-        )
+        return told(verdict, f"was {was}, is {now.status}: {now.why or 'measured'}")
     changes = tuple(_changes(new, old, tolerances))
     if any(change.worse for change in changes):
-        return Difference(new.key, new.title, "worse", _circumstances(new, old), changes)
-    return Difference(new.key, new.title, "better" if changes else "same", "", changes)
+        return told("worse", _circumstances(new, old), changes)
+    return told("better" if changes else "same", "", changes)
 
 
 def _circumstances(new: Entry, old: Entry) -> str:
     """What else changed since the baseline: the mesh, the versions, the renderer."""
-    changed = [
-        f"{name} {old.metadata[name]} -> {new.metadata.get(name)}"
-        for name in ("mesh_sha256", "versions", "renderer")
-        if name in old.metadata and old.metadata[name] != new.metadata.get(name)
-    ]
+    was, now = old.metadata, new.metadata
+    names = (name for name in ("mesh_sha256", "versions", "renderer") if name in was)
+    changed = [f"{name} {was[name]} -> {now.get(name)}" for name in names if was[name] != now.get(name)]
     return f"changed with it: {'; '.join(changed)}" if changed else ""
 
 
@@ -339,23 +270,18 @@ def _changes(new: Entry, old: Entry, tolerances: Tolerances) -> list[Change]:
     backend = new.key.backend
     now, before = new.measured.metrics, old.measured.metrics
     column_of = {metric.name: metric.column for metric in METRICS}
+    grown = {name: _growth(new, old, name, tolerances.of(backend, name)) for name in LAYER_COLUMNS}
     changes: list[Change] = []
     explained = set()
-    for name in NAMES:
-        if name not in now or name not in before:
-            continue
+    for name in (name for name in NAMES if name in now and name in before):
         allowed = tolerances.of(backend, name).allowed(before[name])
         if abs(now[name] - before[name]) <= allowed:
             continue
-        growth = None
-        if now[name] > before[name] and name in column_of:
-            column = column_of[name]
-            growth = _growth(new, old, column, tolerances.of(backend, column))
-            explained.add(column)
-        changes.append(Change(name, before[name], now[name], allowed, growth))
-    for column in LAYER_COLUMNS:
-        growth = None if column in explained else _growth(new, old, column, tolerances.of(backend, column))
-        if growth is not None:
+        column = column_of.get(name, "") if now[name] > before[name] else ""
+        explained.add(column)
+        changes.append(Change(name, before[name], now[name], allowed, grown.get(column)))
+    for column, growth in grown.items():
+        if growth is not None and column not in explained:
             place = growth.places[0]
             allowed = tolerances.of(backend, column).allowed(place.old)
             changes.append(Change(column, place.old, place.new, allowed, growth))
@@ -365,7 +291,8 @@ def _changes(new: Entry, old: Entry, tolerances: Tolerances) -> list[Change]:
 def _growth(new: Entry, old: Entry, column: str, tolerance: Tolerance) -> Growth | None:
     """Layers on which the absolute value of a column grew by more than its tolerance; None where there is none."""
     now, before = new.measured.columns, old.measured.columns
-    if column not in before or not _same_heights(now["z_mm"], before["z_mm"]):
+    heights = now.get("z_mm", ()), before.get("z_mm", ())
+    if column not in before or len(heights[0]) != len(heights[1]) or not np.allclose(*heights, 0.0, 1e-6):
         return None
     was, became = before[column], now[column]
     pairs = zip(was, became, strict=True)
@@ -374,11 +301,7 @@ def _growth(new: Entry, old: Entry, column: str, tolerance: Tolerance) -> Growth
         return None
     by = [abs(became[k]) - abs(was[k]) for k in grown]
     places = tuple(
-        Place(int(now["layer"][k]), now["z_mm"][k], now["x_mm"][k], now["y_mm"][k], was[k], became[k])
-        for k in grown[:FIRST_PLACES]
+        Place(int(now["layer"][k]) + 1, now["z_mm"][k], now["x_mm"][k], now["y_mm"][k], was[k], became[k])
+        for k in grown[:3]
     )
     return Growth(column, len(grown), len(became), max(by), math.fsum(by) / len(by), places)
-
-
-def _same_heights(a: Any, b: Any) -> bool:
-    return len(a) == len(b) and all(abs(x - y) <= SAME_HEIGHT_MM for x, y in zip(a, b, strict=True))

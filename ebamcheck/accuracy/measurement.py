@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
-from pydantic import Field, field_validator
+from pydantic import Field, ValidationInfo, field_validator
 
 from ebamcheck.backend import BackendSettings
 from ebamcheck.comparison import GENERIC, layer_classes
@@ -31,7 +30,6 @@ SECTION_TOLERANCE_MM = 1e-4  # chord error of the dense rings that stand for an 
 MOST_PLANES = 12  # planes through level faces that are cut on top of the uniform layers: enough to meet every kind of face
 STEP_SHARE = 1e-3  # share of the area that may change over the rounding of a height; more is a step that rounding has moved
 DEPTH_SHARE = 0.02  # depth is found to a hundredth of this share of the bound: a loss of a hundredth of the bound must show
-HEIGHT_DIGITS = 9  # significant digits of the heights that baselines keep
 MEASURED, REFUSED = "measured", "refused"
 
 
@@ -56,9 +54,8 @@ class Measured:
     status: str  # ``measured``, or how the backend failed
     why: str = ""
     metrics: Mapping[str, float] = field(default_factory=dict)
+    # Of each layer compared: number from 0, height, place of its deepest point (None where there is none), and what metrics sum up
     columns: Mapping[str, Sequence[float]] = field(default_factory=dict)
-    """One entry for each layer compared: ``layer``, ``z_mm``, ``x_mm``, ``y_mm`` of the deepest point (None where
-    there is none), and the columns of the metrics."""
 
 
 def truth_of(model: Model, tolerance_mm: float, layers: int) -> Truth:
@@ -69,17 +66,12 @@ def truth_of(model: Model, tolerance_mm: float, layers: int) -> Truth:
     middles = low + (np.arange(layers) + 0.5) * step
     heights = np.union1d(middles, _level_planes(model, part))
     exact = _sections(model, heights)
-    return Truth(
-        part, heights, np.isin(heights, middles), step, exact, _allowance(model, exact, tolerance_mm)
-    )
+    uniform = np.isin(heights, middles)
+    return Truth(part, heights, uniform, step, exact, _allowance(model, exact, tolerance_mm))
 
 
 def _level_planes(model: Model, part: Part) -> Floats:
-    """Heights of level faces, at most :data:`MOST_PLANES`, on which mesh and model mean the same side of a step.
-
-    Vertices are rounded to single precision; where that moves a step down, the model's section at the mesh's
-    height is still the lower one, and the plane is left out.
-    """
+    """Heights of level faces on which mesh and model mean the same side of a step, which the rounding of vertices may have moved down."""
     z = part.vertices[:, 2][part.faces]
     levels = np.unique(z[(z == z[:, :1]).all(axis=1), 0])
     kept = []
@@ -98,11 +90,7 @@ def _sections(model: Model, heights: Floats) -> Layers:
 
 
 def _allowance(model: Model, exact: Layers, tolerance_mm: float) -> Floats:
-    """Depth that the mesh may have against the exact sections, (L,) mm.
-
-    No point of the mesh is farther than t from the surface, so its section at z lies about those of the model
-    between z - t and z + t, dilated by t: on a slope the contours move by more than t, near a step by all of it.
-    """
+    """Depth that the mesh may have against the exact sections, (L,) mm: it lies about those between z - t and z + t, dilated by t."""
     pair, depth = Pair(0, 1, tolerance_mm, True, False), Figures._fields.index("depth")
     moved = []
     for side in (-1.0, 1.0):
@@ -112,13 +100,13 @@ def _allowance(model: Model, exact: Layers, tolerance_mm: float) -> Floats:
 
 
 def measure_outcome(truth: Truth, outcome: Outcome) -> Measured:
-    """Measure what a backend made of the truth's part at the truth's heights.
-
-    Layers in a vertex or face of the mesh are left out where the backend declares no rule for them.
-    """
+    """Measure what a backend made of the truth's part at its heights; without a rule for layers in a vertex or face, these are left out."""
     if outcome.file is None:
         return Measured(outcome.failure, outcome.why)
-    compared = np.flatnonzero(_comparable(truth, outcome))
+    judged = np.ones(truth.heights.size, np.bool_)
+    if registry.slicer(outcome.name).coplanar_rule != "half-open":
+        judged = layer_classes(truth.part, truth.heights, outcome.height_bound_mm) == GENERIC
+    compared = np.flatnonzero(judged)
     layers, exact = outcome.read().take(compared), truth.layers.take(compared)
     columns = {"layer": compared.tolist(), **_columns(exact, truth.allowance_mm[compared], outcome, layers)}
     error = (layers.areas() - exact.areas())[truth.uniform[compared]]
@@ -130,92 +118,67 @@ def measure_outcome(truth: Truth, outcome: Outcome) -> Measured:
     return Measured(MEASURED, "", {**summarised(columns), **whole}, columns)
 
 
-def _comparable(truth: Truth, outcome: Outcome) -> Bools:
-    if registry.slicer(outcome.name).coplanar_rule == "half-open":
-        return np.ones(truth.heights.size, np.bool_)
-    return np.asarray(layer_classes(truth.part, truth.heights, outcome.height_bound_mm) == GENERIC)
-
-
 def _columns(exact: Layers, allowance_mm: Floats, outcome: Outcome, layers: Layers) -> dict[str, list[Any]]:
     pair = Pair(0, 1, DEPTH_SHARE * outcome.error_bound_mm, True, False)
     x0, y0 = shared_origin([exact, layers])
-    figures = measure_stacks([exact, layers], [pair], (x0, y0))
-    depth, x, y, ab, ba = (
-        figures[0][:, Figures._fields.index(name)]
-        for name in ("depth", "depth_x", "depth_y", "hausdorff_ab", "hausdorff_ba")
-    )
-    hausdorff = np.maximum(ab, ba)
-    columns: dict[str, NDArray[Any]] = {
+    figures = dict(zip(Figures._fields, measure_stacks([exact, layers], [pair], (x0, y0))[0].T, strict=True))
+    depth, x, y = figures["depth"], figures["depth_x"], figures["depth_y"]
+    hausdorff = np.maximum(figures["hausdorff_ab"], figures["hausdorff_ba"])
+    x_mm, y_mm = ([rounded(v) if np.isfinite(v) else None for v in at.tolist()] for at in (x + x0, y + y0))
+    lengths = {
         "depth_mm": depth,
         "hausdorff_mm": np.where(np.isfinite(hausdorff), hausdorff, 0.0),
         "area_error_mm2": layers.areas() - exact.areas(),
+        "beyond_bound_mm": np.maximum(depth - allowance_mm - outcome.error_bound_mm, 0.0),
+    }
+    counts = {
         "ring_mismatch": layers.ring_counts() - exact.ring_counts(),
         "hole_mismatch": layers.hole_counts() - exact.hole_counts(),
         "empty_mismatch": (layers.ring_counts() > 0) ^ (exact.ring_counts() > 0),
         "open_paths": layers.open_counts(),
-        "beyond_bound_mm": np.maximum(depth - allowance_mm - outcome.error_bound_mm, 0.0),
     }
-    found: dict[str, list[Any]] = {
-        "z_mm": [rounded(z, HEIGHT_DIGITS, None) for z in exact.heights.tolist()],
-        "x_mm": [_place(v) for v in (x + x0).tolist()],
-        "y_mm": [_place(v) for v in (y + y0).tolist()],
+    return {
+        "z_mm": [rounded(z, 9, None) for z in exact.heights.tolist()],
+        "x_mm": x_mm,
+        "y_mm": y_mm,
+        **{name: [rounded(v) for v in column.tolist()] for name, column in lengths.items()},
+        **{name: column.astype(int).tolist() for name, column in counts.items()},
     }
-    for name, column in columns.items():
-        whole = column.dtype.kind in "biu"
-        found[name] = column.astype(int).tolist() if whole else [rounded(v) for v in column.tolist()]
-    return found
-
-
-def _place(value: float) -> float | None:
-    return rounded(value) if np.isfinite(value) else None
 
 
 # -- The figures by which an accuracy is held: each a number of one entry, less is better ----------------------
-#
 # A metric that sums up a column of the layers can be explained by it: which layers, by how much, where.
-
-
 Column = Sequence[float]
-Columns = Mapping[str, Column]
-
-DIGITS = 6  # significant digits that baselines keep
-FINEST = 7  # decimals (mm, mm2) at most: a tenth of the finest depth that the comparison resolves
 
 
 @dataclass(frozen=True)
 class Metric:
-    """One figure: its name, the column of layers that it sums up (none for a figure of the whole), and how."""
+    """One figure: its name, the column of layers that it sums up, how, and what it says."""
 
     name: str
     column: str
-    summary: Callable[[Column], float]
+    summary: str
     what: str
 
 
-def _largest(column: Column) -> float:
-    return max(map(abs, column), default=0.0)
-
-
-def _mean(column: Column) -> float:
-    return math.fsum(map(abs, column)) / len(column) if column else 0.0
-
-
-def _count(column: Column) -> float:
-    return float(sum(value != 0 for value in column))
-
+SUMMARIES: dict[str, Callable[[Column], float]] = {
+    "largest": lambda column: max(map(abs, column), default=0.0),
+    "mean": lambda column: math.fsum(map(abs, column)) / len(column) if column else 0.0,
+    "count": lambda column: float(sum(value != 0 for value in column)),
+}
 
 # Figures that sum up a column of the layers
 METRICS = (
-    Metric("depth_max_mm", "depth_mm", _largest, "deepest point of the symmetric difference with the exact section"),
-    Metric("depth_mean_mm", "depth_mm", _mean, "mean over the layers of their deepest points"),
-    Metric("hausdorff_max_mm", "hausdorff_mm", _largest, "largest Hausdorff distance of the contours"),
-    Metric("area_error_max_mm2", "area_error_mm2", _largest, "largest error of a layer's area"),
-    Metric("area_error_mean_mm2", "area_error_mm2", _mean, "mean error of the layers' areas, signs dropped"),
-    Metric("ring_mismatch_layers", "ring_mismatch", _count, "layers with more or fewer rings than the truth"),
-    Metric("hole_mismatch_layers", "hole_mismatch", _count, "layers with more or fewer holes than the truth"),
-    Metric("empty_mismatch_layers", "empty_mismatch", _count, "layers empty where the truth is not, or the reverse"),
-    Metric("open_path_layers", "open_paths", _count, "layers with open paths"),
-    Metric("beyond_bound_layers", "beyond_bound_mm", _count, "layers deeper than bound and mesh allow"),
+    Metric("depth_max_mm", "depth_mm", "largest", "deepest point of the symmetric difference with the exact section"),
+    Metric("depth_mean_mm", "depth_mm", "mean", "mean over the layers of their deepest points"),
+    Metric("hausdorff_max_mm", "hausdorff_mm", "largest", "largest Hausdorff distance of the contours"),
+    Metric("area_error_max_mm2", "area_error_mm2", "largest", "largest error of a layer's area"),
+    Metric("area_error_mean_mm2", "area_error_mm2", "mean", "mean error of the layers' areas, signs dropped"),
+    Metric("ring_mismatch_layers", "ring_mismatch", "count", "layers with more or fewer rings than the truth"),
+    Metric("hole_mismatch_layers", "hole_mismatch", "count", "layers with more or fewer holes than the truth"),
+    Metric("empty_mismatch_layers", "empty_mismatch", "count", "layers empty where the truth is not, or the reverse"),
+    Metric("open_path_layers", "open_paths", "count", "layers with open paths"),
+    Metric("beyond_bound_layers", "beyond_bound_mm", "count", "layers deeper than bound and mesh allow"),
 )  # fmt: skip
 # Figures of an entry that no column explains
 WHOLE = {
@@ -227,17 +190,16 @@ WHOLE = {
 NAMES = (*(metric.name for metric in METRICS), *WHOLE)
 # Columns that are held layer by layer, too: a loss on one layer must not hide behind a worse one
 LAYER_COLUMNS = tuple(dict.fromkeys(metric.column for metric in METRICS))
-
 TOLERANCE_NAMES = (*NAMES, *LAYER_COLUMNS)
 
 
-def summarised(columns: Columns) -> dict[str, float]:
+def summarised(columns: Mapping[str, Column]) -> dict[str, float]:
     """All metrics of an entry's columns."""
-    return {metric.name: rounded(metric.summary(columns[metric.column])) for metric in METRICS}
+    return {metric.name: rounded(SUMMARIES[metric.summary](columns[metric.column])) for metric in METRICS}
 
 
-def rounded(value: float, digits: int = DIGITS, decimals: int | None = FINEST) -> float:
-    """Round to the digits that a baseline keeps; zero has no sign.
+def rounded(value: float, digits: int = 6, decimals: int | None = 7) -> float:
+    """Round to the digits that a baseline keeps, and to a tenth of the finest depth (mm, mm2) that is resolved; zero has no sign.
 
     >>> rounded(0.0123456789), rounded(-1e-17), rounded(123456.789)
     (0.0123457, 0.0, 123457.0)
@@ -247,9 +209,6 @@ def rounded(value: float, digits: int = DIGITS, decimals: int | None = FINEST) -
 
 
 MATRIX = "matrix.toml"
-
-ALL = "all"  # in place of the names of models: every one that is installed
-HASH_DIGITS = 12  # digits of a settings hash that a key keeps: enough for any matrix
 
 
 class Case(Section):
@@ -288,11 +247,7 @@ class Subject:
 
     @property
     def given(self) -> dict[str, Any]:
-        """Settings that are not the defaults.
-
-        Only they make the key: a new setting whose default changes nothing leaves the baseline valid, and a
-        default that is changed is held against it.
-        """
+        """Settings that are not the defaults; they alone make the key, so that a new setting leaves a baseline valid."""
         return self.settings.model_dump(mode="json", exclude_defaults=True)
 
     def __str__(self) -> str:
@@ -301,7 +256,7 @@ class Subject:
 
     def settings_hash(self, case: Case) -> str:
         """Hash of the settings and of the case: what must be the same for two figures to be comparable."""
-        return sha256_of_json({"settings": self.given, "case": case.model_dump()})[:HASH_DIGITS]
+        return sha256_of_json({"settings": self.given, "case": case.model_dump()})[:12]
 
 
 def read_matrix(folder: Path) -> Matrix:
@@ -311,8 +266,8 @@ def read_matrix(folder: Path) -> Matrix:
 
 
 def chosen_models(matrix: Matrix, names: Sequence[str]) -> dict[str, Model]:
-    """Models named, all for :data:`ALL`, or without a name those of every day."""
-    if names and names != (ALL,):
+    """Models named, all for ``all``, or without a name those of every day."""
+    if names and names != ("all",):
         return models(names)
     daily = () if names else matrix.every_day
     return {name: model for name, model in models().items() if name in daily or not daily}
@@ -334,9 +289,6 @@ def rounds(matrix: Matrix, model: str, backends: Sequence[str]) -> list[dict[str
     return found
 
 
-# -- tolerances ------------------------------------------------------------------------------------
-
-
 class Tolerance(Section):
     """A value may grow to ``old + absolute + relative * |old|`` before it counts as worse."""
 
@@ -350,29 +302,19 @@ class Tolerance(Section):
 
 
 LENGTH = Tolerance(absolute=1e-5, relative=1e-3)  # ten times what the comparison resolves
-
-AREA = Tolerance(absolute=1e-3, relative=1e-3)
-VOLUME = Tolerance(absolute=1e-2, relative=1e-3)
-BOUND = Tolerance(absolute=1e-6, relative=1e-3)  # bounds of exact slicers are rounding
-
-NONE = Tolerance()  # counts may not grow at all
+# Shipped tolerances by the end of a name; bounds of exact slicers are rounding, and counts may not grow at all
+SHIPPED = {
+    "_mm": LENGTH,
+    "_mm2": Tolerance(absolute=1e-3, relative=1e-3),
+    "_mm3": Tolerance(absolute=1e-2, relative=1e-3),
+    "bound_mm": Tolerance(absolute=1e-6, relative=1e-3),
+    "": Tolerance(),
+}
 
 
 def default_tolerance(name: str) -> Tolerance:
     """Return the shipped tolerance of a metric or column, by its unit."""
-    if name == "bound_mm":
-        return BOUND
-    for ending, tolerance in (("_mm", LENGTH), ("_mm2", AREA), ("_mm3", VOLUME)):
-        if name.endswith(ending):
-            return tolerance
-    return NONE
-
-
-def _known(table: dict[str, Tolerance]) -> dict[str, Tolerance]:
-    unknown = [name for name in table if name not in TOLERANCE_NAMES]
-    if unknown:
-        raise ValueError(f"unknown metric {unknown[0]!r}: there are {', '.join(TOLERANCE_NAMES)}")
-    return table
+    return SHIPPED.get(name) or next(found for end, found in SHIPPED.items() if name.endswith(end))
 
 
 class Tolerances(Section):
@@ -381,15 +323,13 @@ class Tolerances(Section):
     metrics: dict[str, Tolerance] = Field(default_factory=dict)
     backends: dict[str, dict[str, Tolerance]] = Field(default_factory=dict)
 
-    @field_validator("metrics")
+    @field_validator("metrics", "backends")
     @classmethod
-    def _metrics_known(cls, value: dict[str, Tolerance]) -> dict[str, Tolerance]:
-        return _known(value)
-
-    @field_validator("backends")
-    @classmethod
-    def _backends_known(cls, value: dict[str, dict[str, Tolerance]]) -> dict[str, dict[str, Tolerance]]:
-        return {backend: _known(table) for backend, table in value.items()}
+    def _known(cls, value: dict[str, Any], info: ValidationInfo) -> dict[str, Any]:
+        tables = [value] if info.field_name == "metrics" else value.values()
+        for name in (name for table in tables for name in table if name not in TOLERANCE_NAMES):
+            raise ValueError(f"unknown metric {name!r}: there are {', '.join(TOLERANCE_NAMES)}")
+        return value
 
     def of(self, backend: str, metric: str) -> Tolerance:
         """Tolerance of a backend's metric."""

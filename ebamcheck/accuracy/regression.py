@@ -5,17 +5,17 @@ from __future__ import annotations
 import platform
 import sqlite3
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
+from functools import partial
 from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-from junitparser.xunit2 import JUnitXml
-
 from ebamcheck import __version__
+from ebamcheck.accuracy import measurement
 from ebamcheck.accuracy.baselines import (  # fmt: skip
     FORMAT_VERSION,
     STORED,
@@ -27,21 +27,6 @@ from ebamcheck.accuracy.baselines import (  # fmt: skip
     read_baselines,
     write_baselines,
 )
-from ebamcheck.accuracy.measurement import (
-    MEASURED,
-    METRICS,
-    WHOLE,
-    Case,
-    Matrix,
-    Subject,
-    Tolerances,
-    Truth,
-    chosen_models,
-    measure_outcome,
-    read_matrix,
-    rounds,
-    truth_of,
-)
 from ebamcheck.atomic_file import replacing
 from ebamcheck.errors import BackendMissing, ExitCode, InputError, SettingsError
 from ebamcheck.json_values import sha256_of_json
@@ -51,12 +36,9 @@ from ebamcheck.scratch import scratch_folder
 from ebamcheck.showing import junit
 from ebamcheck.showing.colours import COLOURS, DASHES
 from ebamcheck.showing.markup import Markup, element, join, text
-from ebamcheck.slicers.isolation import Limits, Outcome, slice_all
-
-CHECKOUT_BASELINES = Path("reports", "baselines")
+from ebamcheck.slicers.isolation import Limits, slice_all
 
 UPDATED_BY_FAILED = ("worse", "new", "vanished")  # by ``--update-baseline=failed``
-
 Note = Callable[[str], None]
 
 
@@ -68,9 +50,9 @@ class Regression:
     entries: Mapping[Key, Entry]
     held: Mapping[Key, Entry]  # baselines of the models and backends asked for
     differences: Sequence[Difference]
-    tolerances: Tolerances
+    tolerances: measurement.Tolerances
+    # Seconds by entry; they stand in ``timings.json`` and nowhere else
     timings: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
-    """Seconds by entry; they stand in ``timings.json`` and nowhere else."""
 
     @property
     def compared(self) -> int:
@@ -92,10 +74,7 @@ class Regression:
             "exit_code": int(self.exit_code),
             "compared": self.compared,
             "differences": [difference.record() for difference in self.differences],
-            "entries": [
-                {"model": e.key.model, "settings_hash": e.key.settings_hash, **e.record()}
-                for e in self.entries.values()
-            ],
+            "entries": [{**vars(e.key), **e.record()} for e in self.entries.values()],
         }
 
 
@@ -103,18 +82,17 @@ def run_regression(
     folder: Path,
     models: Sequence[str] = (),
     backends: Sequence[str] = (),
-    tolerances: Tolerances | None = None,
+    tolerances: measurement.Tolerances | None = None,
     limits: Limits | None = None,
     note: Note = lambda text: None,
     settings: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> Regression:
-    """Measure models x backends x settings and hold them against the baselines of a folder; where these are missing every entry is new.
+    """Measure models x backends x settings, and hold them against the baselines of a folder; without names every-day models, available backends.
 
-    Without names: every model of every day and every backend that is available. `note` gets a line for each model begun, each backend left out
-    and each that is measured under other `settings`, which go on top of those of the matrix and are held against the same baselines.
+    `settings` of a backend go on top of those of the matrix, and are held against the same baselines; `note` tells of them.
     """
-    matrix = read_matrix(folder)
-    chosen = chosen_models(matrix, models)
+    matrix, tolerances = measurement.read_matrix(folder), tolerances or measurement.Tolerances()
+    chosen = measurement.chosen_models(matrix, models)
     usable, not_run = _usable(backends)
     for name, why in not_run.items():
         note(f"backend {name} is left out: {why}")
@@ -130,54 +108,46 @@ def run_regression(
     timings: dict[str, Mapping[str, float]] = {}
     for name, model in chosen.items():
         note(f"model {name}")
-        truth = truth_of(model, matrix.case(name).tolerance_mm, matrix.case(name).layers)
+        truth = measurement.truth_of(model, matrix.case(name).tolerance_mm, matrix.case(name).layers)
         for entry, seconds in _measure(name, truth, matrix, usable, limits or Limits(), given):
             entries[entry.key] = entry
             timings[str(entry.key)] = seconds
-    held = {
-        key: entry
-        for key, entry in read_baselines(folder, _models_held(folder, chosen, models)).items()
-        if not backends or key.backend in backends
-    }
-    found = differences(entries, held, not_run, tolerances or Tolerances())
-    ordered = {key: entries[key] for key in sorted(entries)}
-    return Regression(folder, ordered, held, found, tolerances or Tolerances(), timings)
+    judged = list(chosen)
+    if not models and folder.is_dir():
+        # Without a choice, those that are no longer installed count, too.
+        gone = {path.stem for path in folder.glob("*.json")} - installed_models().keys()
+        judged += sorted(gone)
+    before = read_baselines(folder, judged)
+    held = {key: entry for key, entry in before.items() if not backends or key.backend in backends}
+    found = differences(entries, held, not_run, tolerances)
+    return Regression(
+        folder, dict(sorted(entries.items(), key=lambda item: item[0])), held, found, tolerances, timings
+    )
 
 
 def _usable(names: Sequence[str]) -> tuple[list[str], dict[str, str]]:
     if names:
         return [registry.available_slicer(name).name for name in dict.fromkeys(names)], {}
-    usable, not_run = [], {}
-    for name in registry.house_slicers():
-        probe = registry.probe(name)
-        if probe.available:
-            usable.append(name)
-        else:
-            not_run[name] = f"{probe.why}{f'; {probe.hint}' if probe.hint else ''}"
+    probes = {name: registry.probe(name) for name in registry.house_slicers()}
+    usable = [name for name, probe in probes.items() if probe.available]
+    not_run = {
+        name: "; ".join(filter(None, (p.why, p.hint))) for name, p in probes.items() if not p.available
+    }
     if not usable:
         raise BackendMissing("no backend is available: see `ebamcheck backends` for the reasons")
     return usable, not_run
 
 
-def _models_held(folder: Path, chosen: Mapping[str, object], named: Sequence[str]) -> list[str]:
-    """Models whose baselines count: those chosen; without a choice those no longer installed, too."""
-    if named or not folder.is_dir():
-        return list(chosen)
-    installed = installed_models()
-    return [*chosen, *(path.stem for path in sorted(folder.glob("*.json")) if path.stem not in installed)]
-
-
 def _measure(
     model: str,
-    truth: Truth,
-    matrix: Matrix,
+    truth: measurement.Truth,
+    matrix: measurement.Matrix,
     backends: Sequence[str],
     limits: Limits,
     given: Mapping[str, Mapping[str, Any]],
-) -> list[tuple[Entry, Mapping[str, float]]]:
+) -> Iterator[tuple[Entry, Mapping[str, float]]]:
     case = matrix.case(model)
-    found: list[tuple[Entry, Mapping[str, float]]] = []
-    for subjects in rounds(matrix, model, backends):
+    for subjects in measurement.rounds(matrix, model, backends):
         settings = {
             name: registry.slicer_settings(name, {**subject.given, **given.get(name, {})})
             for name, subject in subjects.items()
@@ -186,40 +156,29 @@ def _measure(
             outcomes = slice_all(truth.part, truth.heights, settings, folder, limits)
             for name, subject in subjects.items():
                 start = time.perf_counter()
-                entry = _entry(model, truth, case, subject, outcomes[name])
-                seconds = {
-                    "prepare_s": outcomes[name].prepare_s,
-                    "slice_s": outcomes[name].slice_s,
-                    "measure_s": time.perf_counter() - start,
+                probe, key = outcomes[name].probe, Key(model, name, subject.settings_hash(case))
+                metadata = {
+                    "case": case.model_dump(),
+                    "facets": len(truth.part.faces),
+                    "mesh_sha256": truth.part.sha256,
+                    "machine": f"{platform.system()} {platform.machine()}",
+                    "renderer": probe.device,
+                    "versions": {
+                        "ebamcheck": __version__,
+                        "python": platform.python_version(),
+                        **probe.versions,
+                    },
                 }
-                found.append((entry, seconds))
-    return found
-
-
-def _entry(model: str, truth: Truth, case: Case, subject: Subject, outcome: Outcome) -> Entry:
-    key = Key(model, subject.backend, subject.settings_hash(case))
-    metadata = {
-        "case": case.model_dump(),
-        "facets": len(truth.part.faces),
-        "mesh_sha256": truth.part.sha256,
-        "machine": f"{platform.system()} {platform.machine()}",
-        "renderer": outcome.probe.device,
-        "versions": {"ebamcheck": __version__, "python": platform.python_version(), **outcome.probe.versions},
-    }
-    return Entry(key, subject.given, measure_outcome(truth, outcome), metadata)
+                measured = measurement.measure_outcome(truth, outcomes[name])
+                seconds = {"prepare_s": outcomes[name].prepare_s, "slice_s": outcomes[name].slice_s}
+                seconds["measure_s"] = time.perf_counter() - start
+                yield Entry(key, subject.given, measured, metadata), seconds
 
 
 def updated(regression: Regression, mode: UpdateMode) -> list[Path]:
-    """Write the baselines anew: those that failed, are new or vanished, or all that were measured; returns the files that changed.
-
-    Crashes and entries that could not run here stay as they were.
-    """
-    verdicts = {d.key: d.verdict for d in regression.differences}
-    touched = [
-        key
-        for key, verdict in verdicts.items()
-        if verdict in UPDATED_BY_FAILED or (mode == "all" and verdict in ("same", "better"))
-    ]
+    """Write the baselines of what failed, is new or vanished, or of all but crashes and what could not run; returns the files that changed."""
+    wanted = UPDATED_BY_FAILED if mode == "failed" else (*UPDATED_BY_FAILED, "same", "better")
+    touched = [d.key for d in regression.differences if d.verdict in wanted]
     files = sorted({key.model for key in touched})
     stored = read_baselines(regression.baselines, files)
     for key in touched:
@@ -233,28 +192,22 @@ def updated(regression: Regression, mode: UpdateMode) -> list[Path]:
 
 def accepted(regression: Regression) -> Regression:
     """Return the report once its differences are accepted as the new baselines; failures stay."""
-    kept = [
-        replace(d, verdict="same") if d.verdict in UPDATED_BY_FAILED or d.verdict == "better" else d
-        for d in regression.differences
-    ]
+    taken = (*UPDATED_BY_FAILED, "better")
+    kept = [replace(d, verdict="same") if d.verdict in taken else d for d in regression.differences]
     return replace(regression, differences=kept)
 
 
 def default_baselines(given: Path | None, setting: str) -> Path:
     """Folder of the baselines: the one given, the one set, or ``reports/baselines`` of a checkout."""
-    if given is not None:
-        return given
-    if setting:
-        return Path(setting)
+    if given is not None or setting:
+        return given or Path(setting)
+    shipped = Path("reports", "baselines")
     for folder in (Path.cwd(), *Path.cwd().parents):
-        if (folder / CHECKOUT_BASELINES).is_dir():
-            return folder / CHECKOUT_BASELINES
-    raise SettingsError(
-        f"there is no {CHECKOUT_BASELINES} here or above: name the folder of the baselines with --baselines"
-    )
+        if (folder / shipped).is_dir():
+            return folder / shipped
+    what = "name the folder of the baselines with --baselines"
+    raise SettingsError(f"there is no {shipped} here or above: {what}")
 
-
-PAGE = "regress.html"
 
 TREND_METRICS = ("depth_max_mm", "area_error_mean_mm2")  # one of shape, one of size
 WIDTH_PX, HEIGHT_PX = 640, 150
@@ -269,17 +222,19 @@ svg{max-width:100%;height:auto}text{font:11px system-ui,sans-serif;fill:#444}
 """
 
 
-def write_page(regression: Regression, history: Path, folder: Path) -> Path:
-    """Write the page, whole or not at all."""
-    path = folder / PAGE
-    with replacing(path) as temporary:
-        temporary.write_text(document(regression, history), encoding="utf-8")
-    return path
-
-
-def document(regression: Regression, history: Path) -> str:
-    """Build the page."""
+def write_page(regression: Regression, history: Path, folder: Path) -> None:
+    """Write ``regress.html``, whole or not at all."""
     title = "Accuracy against the baselines"
+    failing = sum(d.fails for d in regression.differences)
+    verdict = join(
+        [element("span", "no entry got worse", class_="good"), f", {regression.compared} were compared"]
+    )
+    if failing:
+        verdict = element("span", f"{failing} of {len(regression.differences)} entries failed", class_="bad")
+    what = ". Every entry is one slicer under one choice of settings on one model whose sections are known exactly."
+    told = [element("pre", "\n".join(d.lines())) for d in regression.differences if d.verdict != "same"]
+    meanings = {**{metric.name: metric.what for metric in measurement.METRICS}, **measurement.WHOLE}
+    glossary = [element("tr", element("td", name), element("td", what)) for name, what in meanings.items()]
     head = element(
         "head",
         element("meta", charset="utf-8"),
@@ -287,51 +242,36 @@ def document(regression: Regression, history: Path) -> str:
         element("title", f"ebamcheck: {title.lower()}"),
         element("style", Markup(STYLE)),
     )
+    charts = []
+    for metric in TREND_METRICS:
+        charts.append(element("h3", metric.replace("_", " ")))
+        by_model = groupby(trends(history, metric), key=lambda trend: trend.key.model)
+        charts += [_chart(model, list(found), metric) for model, found in by_model]
     body = element(
         "body",
         element("h1", title),
-        _intro(regression),
-        *_changes(regression.differences),
+        element("p", verdict, what),
+        *([element("h2", "What changed"), *told] if told else []),
         element("h2", "Accuracy now"),
-        _figures(regression),
+        _figures(regression, list(meanings)),
         element("h2", "What the figures mean"),
-        _glossary(),
+        element("table", element("tbody", *glossary)),
         element("h2", "Trend"),
         element("p", "One point a distinct result of the history; a result seen again adds none."),
-        *(_trends(history, metric) for metric in TREND_METRICS),
+        *charts,
     )
-    return f"<!DOCTYPE html>\n{element('html', head, body, lang='en')}\n"
+    with replacing(folder / "regress.html") as temporary:
+        temporary.write_text(f"<!DOCTYPE html>\n{element('html', head, body, lang='en')}\n", encoding="utf-8")
 
 
-def _intro(regression: Regression) -> Markup:
-    failing = sum(d.fails for d in regression.differences)
-    if failing:
-        verdict = element("span", f"{failing} of {len(regression.differences)} entries failed", class_="bad")
-    else:
-        good = element("span", "no entry got worse", class_="good")
-        verdict = join([good, f", {regression.compared} were compared"])
-    what = ". Every entry is one slicer under one choice of settings on one model whose sections are known exactly."
-    return element("p", verdict, what)
-
-
-def _changes(differences: Sequence[Difference]) -> Iterable[Markup]:
-    told = [d for d in differences if d.verdict != "same"]
-    if told:
-        yield element("h2", "What changed")
-    for difference in told:
-        yield element("pre", "\n".join(difference.lines()))
-
-
-def _figures(regression: Regression) -> Markup:
-    names = [metric.name for metric in METRICS] + list(WHOLE)
-    verdicts = {d.key: d for d in regression.differences}
+def _figures(regression: Regression, names: Sequence[str]) -> Markup:
     rows = []
-    for key, entry in regression.entries.items():
-        verdict, measured = verdicts[key], entry.measured
-        if measured.status == MEASURED:
+    for verdict in (d for d in regression.differences if d.key in regression.entries):
+        entry = regression.entries[verdict.key]
+        measured = entry.measured
+        cells = [element("td", f"{measured.status}: {measured.why}", colspan=len(names))]
+        if measured.status == measurement.MEASURED:
             cells = [element("td", f"{measured.metrics[name]:.4g}", class_="n") for name in names]
-        else:
-            cells = [element("td", f"{measured.status}: {measured.why}", colspan=len(names))]
         mark = element("td", verdict.verdict, class_="bad" if verdict.fails else "good")
         rows.append(element("tr", element("td", entry.title), mark, *cells))
     heads = (element("th", name.replace("_", " ")) for name in ("entry", "verdict", *names))
@@ -339,22 +279,24 @@ def _figures(regression: Regression) -> Markup:
     return element("div", table, class_="scroll")
 
 
-def _glossary() -> Markup:
-    meanings = {**{metric.name: metric.what for metric in METRICS}, **WHOLE}
-    rows = (element("tr", element("td", name), element("td", what)) for name, what in meanings.items())
-    return element("table", element("tbody", *rows))
-
-
-def _trends(history: Path, metric: str) -> Markup:
-    by_model = groupby(trends(history, metric), key=lambda trend: trend.key.model)
-    charts = [_chart(model, list(found), metric) for model, found in by_model]
-    return join([element("h3", metric.replace("_", " ")), *charts])
-
-
 def _chart(model: str, lines: Sequence[Trend], metric: str) -> Markup:
     last = max(max(line.results) for line in lines)
     most = max(max(line.values) for line in lines) or 1.0
     bottom, right = HEIGHT_PX - BOTTOM_PX, WIDTH_PX - RIGHT_PX
+    drawn, keys = [], []
+    for rank, line in enumerate(lines):
+        colour, dashes = COLOURS[rank % len(COLOURS)], DASHES[rank % len(DASHES)]
+        points = [
+            f"{LEFT_PX + (result - 1) / max(last - 1, 1) * (right - LEFT_PX):.1f},{bottom - value / most * (bottom - TOP_PX):.1f}"
+            for result, value in zip(line.results, line.values, strict=True)
+        ]
+        path, dots = "M" + "L".join(points), "".join(f"M{point}h0" for point in points)
+        drawn += [
+            element("path", d=path, fill="none", stroke=colour, stroke_width=1.6, stroke_dasharray=dashes),
+            element("path", d=dots, stroke=colour, stroke_width=5, stroke_linecap="round"),
+        ]
+        named = f"\u25a0 {line.key.backend} {line.key.settings_hash}"
+        keys.append(element("span", named, class_="key", style=f"color:{colour}"))
     svg = element(
         "svg",
         element("title", f"{metric} of {model}"),
@@ -363,39 +305,14 @@ def _chart(model: str, lines: Sequence[Trend], metric: str) -> Markup:
         text(LEFT_PX - 6, bottom, "0", text_anchor="end"),
         text(LEFT_PX, HEIGHT_PX - 8, "1"),
         text(right, HEIGHT_PX - 8, f"result {last}", text_anchor="end"),
-        *(_line(line, k, last, most) for k, line in enumerate(lines)),
+        *drawn,
         viewBox=f"0 0 {WIDTH_PX} {HEIGHT_PX}",
         role="img",
     )
-    keys = element("div", *(_legend(line, k) for k, line in enumerate(lines)))
-    return join([element("h4", model), svg, keys])
+    return join([element("h4", model), svg, element("div", *keys)])
 
-
-def _line(line: Trend, rank: int, last: int, most: float) -> Markup:
-    span = max(last - 1, 1)
-    points = [
-        (
-            LEFT_PX + (result - 1) / span * (WIDTH_PX - LEFT_PX - RIGHT_PX),
-            HEIGHT_PX - BOTTOM_PX - value / most * (HEIGHT_PX - TOP_PX - BOTTOM_PX),
-        )
-        for result, value in zip(line.results, line.values, strict=True)
-    ]
-    path = "M" + "L".join(f"{x:.1f},{y:.1f}" for x, y in points)
-    dots = "".join(f"M{x:.1f},{y:.1f}h0" for x, y in points)
-    colour, dashes = COLOURS[rank % len(COLOURS)], DASHES[rank % len(DASHES)]
-    drawn = element("path", d=path, fill="none", stroke=colour, stroke_width=1.6, stroke_dasharray=dashes)
-    return join([drawn, element("path", d=dots, stroke=colour, stroke_width=5, stroke_linecap="round")])
-
-
-def _legend(line: Trend, rank: int) -> Markup:
-    named = f"\u25a0 {line.key.backend} {line.key.settings_hash}"
-    return element("span", named, class_="key", style=f"color:{COLOURS[rank % len(COLOURS)]}")
-
-
-# -- history ---------------------------------------------------------------------------------------
 
 HISTORY = "history.sqlite"
-
 SCHEMA = """
 CREATE TABLE IF NOT EXISTS results (
     result INTEGER PRIMARY KEY,
@@ -461,14 +378,10 @@ def trends(path: Path, metric: str) -> list[Trend]:
         "SELECT model, backend, settings_hash, result, value FROM figures WHERE metric = ? "
         "ORDER BY model, backend, settings_hash, result"
     )
-    rows: dict[Key, list[tuple[int, float]]] = {}
     with _opened(path) as database:
-        for model, backend, settings_hash, result, value in database.execute(query, (metric,)):
-            rows.setdefault(Key(model, backend, settings_hash), []).append((result, value))
-    return [
-        Trend(key, metric, tuple(r for r, _ in points), tuple(v for _, v in points))
-        for key, points in rows.items()
-    ]
+        rows = database.execute(query, (metric,)).fetchall()
+    by_key = [(Key(*of), list(points)) for of, points in groupby(rows, key=lambda row: row[:3])]
+    return [Trend(key, metric, *zip(*(row[3:] for row in points), strict=True)) for key, points in by_key]
 
 
 @contextmanager
@@ -480,41 +393,26 @@ def _opened(path: Path) -> Iterator[sqlite3.Connection]:
             with database:
                 yield database
     except sqlite3.Error as error:
-        raise InputError(
-            f"{path}: is no history that can be used ({error}): name another with --history"
-        ) from None
-
-
-# -- test results ----------------------------------------------------------------------------------
-
-JUNIT = "junit.xml"
-
-NAME = "ebamcheck.regress"
-
-SKIPPED = ("new", "not run")  # nothing to hold it against, or it could not run
+        what = f"is no history that can be used ({error}): name another with --history"
+        raise InputError(f"{path}: {what}") from None
 
 
 def write_junit(regression: Regression, folder: Path) -> Path:
-    """Write the file, whole or not at all; its times are 0, the true ones stand in ``timings.json``."""
-    path = folder / JUNIT
-    junit.write_junit(junit_document(regression), path)
+    """Write one suite, one case an entry; its times are 0, the true ones stand in ``timings.json``."""
+    name, path = "ebamcheck.regress", folder / "junit.xml"
+    cases = [_case(name, difference) for difference in regression.differences]
+    junit.write_junit(junit.junit(name, {name: cases}), path)
     return path
 
 
-def junit_document(regression: Regression) -> JUnitXml:
-    """Build one suite, one case an entry."""
-    return junit.junit(NAME, {NAME: [_case(difference) for difference in regression.differences]})
-
-
-def _case(difference: Difference) -> junit.Case:
+def _case(suite: str, difference: Difference) -> junit.Case:
     key = difference.key
     settings = difference.title.removeprefix(f"{key.model} {key.backend}").strip()
-    classname, name = f"{NAME}.{key.backend}", f"{key.model} {settings}".strip()
-    if difference.verdict in SKIPPED:
-        why = difference.why or "there is no baseline to hold it against"
-        return junit.Case(classname, name, "skipped", why)
+    case = partial(junit.Case, f"{suite}.{key.backend}", f"{key.model} {settings}".strip())
+    if difference.verdict in ("new", "not run"):
+        return case("skipped", difference.why or "there is no baseline to hold it against")
     if not difference.fails:
-        return junit.Case(classname, name)
-    head, *_ = lines = difference.lines()
+        return case()
+    lines = difference.lines()
     kind: junit.Kind = "error" if difference.verdict == "failed" else "failure"
-    return junit.Case(classname, name, kind, head, difference.verdict, "\n".join(lines))
+    return case(kind, lines[0], difference.verdict, "\n".join(lines))

@@ -36,15 +36,13 @@ REPEATS = 3  # timed runs of each backend, after one that warms caches; their me
 
 @dataclass(frozen=True)
 class Workpiece:
-    """What the slicers are tried on: a part as placed, heights on which accuracy and on which speed is judged, and exact sections at the first of
-    them where the part is a reference model.
-    """
+    """What the slicers are tried on."""
 
-    part: Part
-    judged: Floats
+    part: Part  # as placed
+    judged: Floats  # heights on which accuracy, and on which speed is judged
     timed: Floats
     title: str
-    truth: Truth | None = None
+    truth: Truth | None = None  # exact sections at the judged heights, of a reference model
 
 
 @dataclass(frozen=True)
@@ -87,10 +85,9 @@ def try_backends(
     repeats: int = REPEATS,
     note: Callable[[str], None] = lambda text: None,
 ) -> list[Trial]:
-    """Try every installed backend, or those that the settings name (``slicing.backends``); by name, and none raises.
+    """Try every installed backend, or those of ``slicing.backends``; by name, and none raises.
 
-    A backend has a fault where it is outvoted by the others on a layer, or on a model leaves the exact section by more than its bound and
-    the mesh allow.
+    A fault is to be outvoted on a layer, or on a model to leave the exact section by more than bound and mesh allow.
     """
     limits = Limits(config.slicing.time_limit_s, config.slicing.memory_limit_mb)
     trials: dict[str, Trial] = {}
@@ -99,10 +96,8 @@ def try_backends(
         slicer = registry.slicer(name)
         probe = registry.probe(name)
         why = "" if probe.available else f"{probe.why}{f'; {probe.hint}' if probe.hint else ''}"
-        trials[name] = Trial(
-            name, slicer.exact, slicer.priority, probe.available, why,
-            device=probe.device, versions=dict(probe.versions),
-        )  # fmt: skip
+        trial = Trial(name, slicer.exact, slicer.priority, probe.available, why)
+        trials[name] = replace(trial, device=probe.device, versions=dict(probe.versions))
         if probe.available:
             settings[name] = registry.slicer_settings(name, config.slicing.settings.get(name, {}))
     note(f"accuracy of {', '.join(settings)}")
@@ -145,14 +140,11 @@ def _seconds(
 
 def _measured_mm(name: str, reference: str, comparison: Comparison) -> float:
     """Greatest depth against the reference on the layers that both have a rule for; NaN where there is none."""
-    if name == reference:
-        return 0.0
     pairs: Any = comparison.pairs
-    if not len(pairs):
-        return float("nan")
+    if name == reference or not len(pairs):
+        return 0.0 if name == reference else float("nan")
     both = pairs["a"].isin((name, reference)) & pairs["b"].isin((name, reference)) & pairs["gated"]
-    depth = pairs.loc[both, "depth_mm"]
-    return float(depth.max()) if len(depth) else float("nan")
+    return float(pairs.loc[both, "depth_mm"].max())
 
 
 def _fault(workpiece: Workpiece, outcome: Outcome, comparison: Comparison) -> str:
@@ -160,27 +152,17 @@ def _fault(workpiece: Workpiece, outcome: Outcome, comparison: Comparison) -> st
         measured = measure_outcome(workpiece.truth, outcome)
         beyond = [k for k, by in enumerate(measured.columns["beyond_bound_mm"]) if by > 0.0]
         if beyond:
-            first = {name: column[beyond[0]] for name, column in measured.columns.items()}
-            return (
-                f"{len(beyond)} layers beyond its bound, first at z = {first['z_mm']:g} mm: "
-                f"depth {first['depth_mm']:g} mm"
-            )
+            z_mm, depth_mm = (measured.columns[name][beyond[0]] for name in ("z_mm", "depth_mm"))
+            return f"{len(beyond)} layers beyond its bound, first at z = {z_mm:g} mm: depth {depth_mm:g} mm"
     against = [f for f in comparison.findings if f.backend == outcome.name and f.against != "part"]
-    if against:
-        f = against[0]
-        layers = len({finding.layer for finding in against})
-        return (
-            f"outvoted on {layers} layers, first by {f.against} at z = {f.height_mm:g} mm: "
-            f"{f.metric} {f.value:.4g} over {f.limit:.4g}"
-        )
-    return ""
-
-
-# -- The choice of a machine's slicers by stated rules, with the reason for each that is not chosen ------------
+    if not against:
+        return ""
+    f, layers = against[0], len({finding.layer for finding in against})
+    where = f"outvoted on {layers} layers, first by {f.against} at z = {f.height_mm:g} mm"
+    return f"{where}: {f.metric} {f.value:.4g} over {f.limit:.4g}"
 
 
 TIE_SHARE = 0.1  # times that differ by less than this share of the shorter are a tie: runs differ by as much from each other
-
 RULES = (
     "A slicer must be available and slice the part without a fault; its bound and its measured error must meet the "
     "tolerance; of those left the fastest is primary. Times within 10 % are a tie, which goes by priority, then by "
@@ -212,10 +194,19 @@ def choose(trials: Sequence[Trial], tolerance_mm: float) -> Choice:
     """
     reasons = {trial.name: unfit(trial, tolerance_mm) for trial in trials}
     fit = ranked([trial for trial in trials if not reasons[trial.name]])
-    for place, trial in enumerate(fit):
-        reasons[trial.name] = _place_reason(fit, place)
-    names = [trial.name for trial in fit[:2]] + ["", ""]
-    return Choice(names[0], names[1], reasons)
+    if not fit:
+        return Choice("", "", reasons)
+    best, *rest = fit
+    tied = [trial.name for trial in rest if trial.seconds <= (1.0 + TIE_SHARE) * best.seconds]
+    among = f", of the highest priority among those as fast ({', '.join(tied)})" if tied else ""
+    reasons[best.name] = f"primary: the fastest that meets the tolerance{among}"
+    for trial in rest:
+        slower = f"{trial.seconds:.3g} s against {best.seconds:.3g} s of {best.name}"
+        is_next = trial is rest[0]
+        reasons[trial.name] = (
+            f"witness: the next after {best.name} ({slower})" if is_next else f"not needed: {slower}"
+        )
+    return Choice(best.name, rest[0].name if rest else "", reasons)
 
 
 def unfit(trial: Trial, tolerance_mm: float) -> str:
@@ -234,34 +225,13 @@ def unfit(trial: Trial, tolerance_mm: float) -> str:
 
 def ranked(trials: Sequence[Trial]) -> list[Trial]:
     """Fastest first; from those that tie with the fastest left, the one of the highest priority."""
-    left = list(trials)
-    order = []
+    left, order = list(trials), list[Trial]()
     while left:
-        fastest = min(trial.seconds for trial in left)
-        tied = [trial for trial in left if trial.seconds <= (1.0 + TIE_SHARE) * fastest]
-        best = min(tied, key=lambda trial: (-trial.priority, trial.name))
-        order.append(best)
-        left.remove(best)
+        most_s = (1.0 + TIE_SHARE) * min(trial.seconds for trial in left)
+        tied = (trial for trial in left if trial.seconds <= most_s)
+        order.append(min(tied, key=lambda trial: (-trial.priority, trial.name)))
+        left.remove(order[-1])
     return order
-
-
-def _place_reason(fit: Sequence[Trial], place: int) -> str:
-    trial, best = fit[place], fit[0]
-    if place == 0:
-        others = [t for t in fit[1:] if t.seconds <= (1.0 + TIE_SHARE) * trial.seconds]
-        tied = (
-            f", of the highest priority among those as fast ({', '.join(t.name for t in others)})"
-            if others
-            else ""
-        )
-        return f"primary: the fastest that meets the tolerance{tied}"
-    slower = f"{trial.seconds:.3g} s against {best.seconds:.3g} s of {best.name}"
-    return f"witness: the next after {best.name} ({slower})" if place == 1 else f"not needed: {slower}"
-
-
-# -- the section of the settings file --------------------------------------------------------------
-
-FIGURE_DIGITS = 4  # significant digits of the figures kept: provenance, not input
 
 
 def write_choice(
@@ -286,33 +256,23 @@ def write_choice(
 
 def provenance(choice: Choice, trials: Sequence[Trial], circumstances: Mapping[str, Any]) -> dict[str, Any]:
     """What the choice rests on, without a date: circumstances, and figures and versions of every backend."""
-    backends = {
-        trial.name: {
-            "reason": choice.reasons[trial.name],
-            "device": trial.device,
-            "versions": dict(trial.versions),
-            **{
-                name: float(f"{value:.{FIGURE_DIGITS}g}")
-                for name, value in (
-                    ("bound_mm", trial.bound_mm), ("measured_mm", trial.measured_mm), ("seconds", trial.seconds),
-                )
-                if value == value
-            },
-        }
-        for trial in trials
-    }  # fmt: skip
+    backends: dict[str, dict[str, Any]] = {}
+    for trial in trials:
+        told: dict[str, Any] = {"reason": choice.reasons[trial.name], "device": trial.device}
+        figures = {name: getattr(trial, name) for name in ("bound_mm", "measured_mm", "seconds")}
+        # Four digits: provenance, not input.
+        known = {name: float(f"{value:.4g}") for name, value in figures.items() if value == value}
+        backends[trial.name] = {**told, "versions": dict(trial.versions), **known}
     made: dict[str, Any] = plain({"ebamcheck": __version__, **circumstances, "backends": backends})
     return made
 
 
 def _read(path: Path) -> tomlkit.TOMLDocument:
+    if not path.exists():
+        return tomlkit.document()
     try:
         # Line ends as they are: the user's file stays theirs but for one section.
-        return (
-            tomlkit.parse(regular_file(path, SettingsError).read_bytes().decode("utf-8"))
-            if path.exists()
-            else tomlkit.document()
-        )
+        return tomlkit.parse(regular_file(path, SettingsError).read_bytes().decode("utf-8"))
     except OSError as error:
         raise SettingsError(f"{path}: cannot be read: {error.strerror}") from None
     except (UnicodeDecodeError, TOMLKitError) as error:
@@ -324,7 +284,6 @@ def _table(parent: Any, key: str, path: Path, is_super: bool = False) -> Any:
         parent[key] = tomlkit.table(is_super)
     found = parent[key]
     if not isinstance(found, Table | tomlkit.container.OutOfOrderTableProxy):
-        raise SettingsError(
-            f"{path}: {key!r} must be a table, as in [machines.NAME]: rename what stands there"
-        )
+        what = "must be a table, as in [machines.NAME]: rename what stands there"
+        raise SettingsError(f"{path}: {key!r} {what}")
     return found

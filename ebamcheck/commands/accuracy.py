@@ -3,40 +3,19 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import pandas as pd
 import typer
 from typer import Argument, Option
 
-from ebamcheck.accuracy import selection
-from ebamcheck.accuracy.baselines import UpdateMode, strict_json
+from ebamcheck.accuracy import regression, selection
+from ebamcheck.accuracy.baselines import strict_json
 from ebamcheck.accuracy.heat_judge import BEADS, BODIES, THESIS, JudgedLayer, LayerCase, judge_layer
 from ebamcheck.accuracy.measurement import Tolerances, read_tolerances
-from ebamcheck.accuracy.regression import (
-    HISTORY,
-    Regression,
-    accepted,
-    default_baselines,
-    record,
-    run_regression,
-    updated,
-    write_junit,
-    write_page,
-)
 from ebamcheck.atomic_file import made_folder, replacing
-from ebamcheck.commands.options import (
-    DEFAULT_CONFIG,
-    ConfigOption,
-    JsonOption,
-    LayerHeightOption,
-    assignments,
-    names,
-    print_json,
-    stack_of_run,
-)
+from ebamcheck.commands import options
 from ebamcheck.commands.summaries import watched
 from ebamcheck.errors import BackendMissing, ExitCode, SettingsError
 from ebamcheck.mesh.part_source import read_part
@@ -51,36 +30,25 @@ from ebamcheck.showing.short_text import text_table
 from ebamcheck.slicers.isolation import Limits
 from ebamcheck.testing.conformance import conform, conform_control, markdown_table
 
-RESULTS, TIMINGS = "results.json", "timings.json"
 
-
+@options.explained(
+    baselines="Folder of the baselines; default: reports/baselines of the checkout.",
+    update_baseline=Option(metavar="failed|all", help="Show the differences, then accept them."),
+    tolerances="Tolerance of each metric (TOML); default: the shipped ones.",
+    history="SQLite file of the history; default: OUTPUT/history.sqlite.",
+    output="Folder for results, report and history.",
+    config_file="Settings (TOML), table [regression] and [slicing.settings.NAME]; default: ./ebamcheck.toml.",
+)
 def regress(
     models: Annotated[str, Option(help="Models, comma-separated, or all; default: those of every day.")] = "",
     backends: Annotated[str, Option(help="Backends, comma-separated; default: all available.")] = "",
-    baselines: Annotated[
-        Path | None, Option(help="Folder of the baselines; default: reports/baselines of the checkout.")
-    ] = None,
-    update_baseline: Annotated[
-        str, Option(metavar="failed|all", help="Show the differences, then accept them.")
-    ] = "",
-    tolerances: Annotated[
-        Path | None, Option(help="Tolerance of each metric (TOML); default: the shipped ones.")
-    ] = None,
-    history: Annotated[
-        Path | None, Option(help="SQLite file of the history; default: OUTPUT/history.sqlite.")
-    ] = None,
-    output: Annotated[Path, Option("-o", "--output", help="Folder for results, report and history.")] = Path(
-        "regress"
-    ),
-    config_file: Annotated[
-        Path | None,
-        Option(
-            "-c",
-            "--config",
-            help="Settings (TOML), table [regression] and [slicing.settings.NAME]; default: ./ebamcheck.toml.",
-        ),
-    ] = None,
-    as_json: JsonOption = False,
+    baselines: Path | None = None,
+    update_baseline: str = "",
+    tolerances: Path | None = None,
+    history: Path | None = None,
+    output: Path = Path("regress"),
+    config_file: Path | None = None,
+    as_json: bool = False,
 ) -> ExitCode:
     """Measure the slicers on models with known sections; exit code 1 where one got worse than its baseline.
 
@@ -89,50 +57,44 @@ def regress(
 
     Example: ebamcheck regress --models cube,sphere --backends planecut -o regress
     """
-    path = config_file or (DEFAULT_CONFIG if DEFAULT_CONFIG.is_file() else None)
+    path = config_file or (options.DEFAULT_CONFIG if options.DEFAULT_CONFIG.is_file() else None)
     config = load_config(path)
     settings = config.regression
     own = {name: values for name, values in config.slicing.settings.items() if values}
-    _check_update(update_baseline, own, path)
-    table = (
-        checked(Tolerances, settings.tolerances, f"{path}: regression.tolerances")
-        if tolerances is None
-        else read_tolerances(tolerances)
-    )
-    found = run_regression(
-        default_baselines(baselines, settings.baselines),
-        names(models),
-        names(backends),
-        table,
-        limits=Limits(config.slicing.time_limit_s, config.slicing.memory_limit_mb),
-        note=lambda text: typer.echo(f"ebamcheck: {text}", err=True),
-        settings=own,
-    )
-    _write(found, output, history or (Path(settings.history) if settings.history else output / HISTORY))
-    typer.echo(
-        strict_json(found.record()) if as_json else "\n".join(summary(found, advise=not update_baseline))
-    )
-    if not update_baseline:
-        return found.exit_code
-    mode: UpdateMode = "all" if update_baseline == "all" else "failed"
-    changed = updated(found, mode)
-    if not as_json:
-        typer.echo(f"\nbaselines written: {', '.join(map(str, changed)) or 'none, nothing changed'}")
-    return accepted(found).exit_code
-
-
-def _check_update(update_baseline: str, own: Mapping[str, object], path: Path | None) -> None:
-    """Refuse an unknown mode, and baselines under slicers' settings (by name) of one's own."""
     if update_baseline not in ("", "failed", "all"):
         raise SettingsError(f"--update-baseline {update_baseline!r}: give failed or all")
     if update_baseline and own:
-        raise SettingsError(
-            f"--update-baseline: {path} has slicing.settings.{next(iter(own))}, under which no baseline is made: leave it "
-            "out, or put it into the matrix as a variant"
-        )
+        what = "under which no baseline is made: leave it out, or put it into the matrix as a variant"
+        raise SettingsError(f"--update-baseline: {path} has slicing.settings.{next(iter(own))}, {what}")
+    table = checked(Tolerances, settings.tolerances, f"{path}: regression.tolerances")
+    table = read_tolerances(tolerances) if tolerances else table
+    limits = Limits(config.slicing.time_limit_s, config.slicing.memory_limit_mb)
+    folder = regression.default_baselines(baselines, settings.baselines)
+    chosen = options.names(models), options.names(backends)
+    found = regression.run_regression(folder, *chosen, table, limits=limits, note=_note, settings=own)
+    history = history or (Path(settings.history) if settings.history else output / regression.HISTORY)
+    made_folder(output)
+    regression.record(history, found)
+    for name, values in (("results.json", found.record()), ("timings.json", found.timings)):
+        with replacing(output / name) as temporary:
+            temporary.write_text(strict_json(values) + "\n", encoding="utf-8")
+    regression.write_junit(found, output)
+    regression.write_page(found, history, output)
+    said = strict_json(found.record()) if as_json else "\n".join(summary(found, advise=not update_baseline))
+    typer.echo(said)
+    if not update_baseline:
+        return found.exit_code
+    changed = regression.updated(found, "all" if update_baseline == "all" else "failed")
+    if not as_json:
+        typer.echo(f"\nbaselines written: {', '.join(map(str, changed)) or 'none, nothing changed'}")
+    return regression.accepted(found).exit_code
 
 
-def summary(found: Regression, advise: bool = True) -> list[str]:
+def _note(text: str) -> None:
+    typer.echo(f"ebamcheck: {text}", err=True)
+
+
+def summary(found: regression.Regression, advise: bool = True) -> list[str]:
     """What a report came to, for the terminal: differences first, then the counts, then what can be done if that is wanted."""
     lines = [line for d in found.differences if d.verdict != "same" for line in d.lines()]
     verdicts = [d.verdict for d in found.differences]
@@ -147,35 +109,22 @@ def summary(found: Regression, advise: bool = True) -> list[str]:
     return lines
 
 
-def _write(found: Regression, output: Path, history: Path) -> None:
-    made_folder(output)
-    record(history, found)
-    for name, values in ((RESULTS, found.record()), (TIMINGS, found.timings)):
-        with replacing(output / name) as temporary:
-            temporary.write_text(strict_json(values) + "\n", encoding="utf-8")
-    write_junit(found, output)
-    write_page(found, history, output)
-
-
-DEFAULT_MODEL = "ladder"
-
-COARSE_MM = 0.4  # tolerance of a model's mesh: of the ladder a coarse size, a tenth of a second to slice
 TOLERANCE_MM = 0.1  # default of the error that a slicer may have: half of what the fitted curves may leave their contours by
 
 
+@options.explained(
+    model="Reference model instead of a part; default: the ladder, a coarse size.",
+    tolerance_mm="Error that a slicer may have, by its bound and as measured, mm.",
+)
 def select(
     part: Annotated[Path | None, Option(help="Mesh file of a part like yours.")] = None,
-    model: Annotated[
-        str, Option(help="Reference model instead of a part; default: the ladder, a coarse size.")
-    ] = "",
-    tolerance_mm: Annotated[
-        float, Option(help="Error that a slicer may have, by its bound and as measured, mm.")
-    ] = TOLERANCE_MM,
-    layer_height: LayerHeightOption = None,
+    model: str = "",
+    tolerance_mm: float = TOLERANCE_MM,
+    layer_height: float | None = None,
     repeats: Annotated[int, Option(min=1, help="Timed runs of each backend.")] = selection.REPEATS,
     write: Annotated[bool, Option("--write", help="Write the choice into the settings file.")] = False,
-    config_file: ConfigOption = None,
-    as_json: JsonOption = False,
+    config_file: Path | None = None,
+    as_json: bool = False,
 ) -> ExitCode:
     """Try every slicer on this machine and choose by accuracy, then speed; exit code 1 where none is fit.
 
@@ -185,14 +134,18 @@ def select(
         raise SettingsError("give --part or --model, not both")
     if not 0.0 < tolerance_mm < float("inf"):
         raise SettingsError(f"--tolerance-mm {tolerance_mm}: give a positive number of millimetres")
-    path = config_file or DEFAULT_CONFIG
+    path = config_file or options.DEFAULT_CONFIG
     config = load_config(path if config_file or path.is_file() else None)
     if layer_height is not None:
         config = config.changed(layers={"layer_height_mm": layer_height, "heights_mm": ()})
-    workpiece = _workpiece(part, model, config)
-    trials = selection.try_backends(
-        workpiece, config, repeats, lambda text: typer.echo(f"ebamcheck: {text}", err=True)
-    )
+    if part is not None:
+        placed, _ = read_part(part, config.part.model_copy(update={"fix_orientation": False}))
+        workpiece = selection.workpiece_of_part(placed, config.layer_height_mm)
+    else:
+        name = model or "ladder"
+        # Of the ladder a coarse size: a tenth of a second to slice.
+        workpiece = selection.workpiece_of_model(models([name])[name], 0.4, config.layer_height_mm)
+    trials = selection.try_backends(workpiece, config, repeats, _note)
     if not any(trial.available for trial in trials):
         raise BackendMissing("no backend is available: see `ebamcheck backends` for the reasons")
     choice = selection.choose(trials, tolerance_mm)
@@ -204,35 +157,17 @@ def select(
         "tolerance_mm": tolerance_mm,
     }
     if as_json:
-        print_json(_record(trials, choice, circumstances))
+        chosen = {"machine": machine_name(), "primary": choice.primary, "required": list(choice.required)}
+        told = {t.name: {**vars(t), "reason": choice.reasons[t.name]} for t in trials}
+        options.print_json({**chosen, **circumstances, "backends": told})
     else:
         typer.echo(_table(workpiece, trials, choice, tolerance_mm))
     if not choice.primary:
         return ExitCode.OUT_OF_TOLERANCE
     if write:
         selection.write_choice(path, machine_name(), choice, trials, circumstances)
-        typer.echo(f"ebamcheck: {path}: wrote the section of machine {machine_name()!r}", err=True)
+        _note(f"{path}: wrote the section of machine {machine_name()!r}")
     return ExitCode.PASS
-
-
-def _workpiece(part: Path | None, model: str, config: Config) -> selection.Workpiece:
-    if part is not None:
-        placed, _ = read_part(part, config.part.model_copy(update={"fix_orientation": False}))
-        return selection.workpiece_of_part(placed, config.layer_height_mm)
-    name = model or DEFAULT_MODEL
-    return selection.workpiece_of_model(models([name])[name], COARSE_MM, config.layer_height_mm)
-
-
-def _record(
-    trials: list[selection.Trial], choice: selection.Choice, circumstances: dict[str, Any]
-) -> dict[str, Any]:
-    return {
-        "machine": machine_name(),
-        "primary": choice.primary,
-        "required": list(choice.required),
-        **circumstances,
-        "backends": {t.name: {**vars(t), "reason": choice.reasons[t.name]} for t in trials},
-    }
 
 
 def _table(
@@ -242,10 +177,8 @@ def _table(
     tolerance_mm: float,
 ) -> str:
     columns = ["slicer", "available", "bound mm", "measured mm", "seconds", "device", "reason"]
-    rows = [
-        [t.name, t.available, t.bound_mm, t.measured_mm, t.seconds, t.device, choice.reasons[t.name]]
-        for t in trials
-    ]
+    fields = ("name", "available", "bound_mm", "measured_mm", "seconds", "device")
+    rows = [[*(getattr(t, field) for field in fields), choice.reasons[t.name]] for t in trials]
     chosen = f"no slicer is accurate to {tolerance_mm:g} mm"
     if choice.primary:
         chosen = f"primary: {choice.primary}; required: {', '.join(choice.required)}"
@@ -255,25 +188,20 @@ def _table(
     return f"{head}\n{text_table(columns, rows)}\n\n{selection.RULES}\n\n{chosen}"
 
 
+@options.explained(
+    names=Argument(metavar="NAME", help="Backends, or controls; default: all that this machine can run."),
+    controls="Test controls: write, read back, plant faults.",
+    models="Reference models, as a,b; default: all installed; none for none.",
+    setting=Option("--set", help="A setting of the backend, or of the machine, as NAME=VALUE; repeatable."),
+    markdown="Print one table of checks and backends for a document.",
+)
 def conform_command(
-    names: Annotated[
-        list[str] | None,
-        Argument(metavar="NAME", help="Backends, or controls; default: all that this machine can run."),
-    ] = None,
-    controls: Annotated[
-        bool, Option("--controls", help="Test controls: write, read back, plant faults.")
-    ] = False,
-    models: Annotated[
-        str | None, Option(help="Reference models, as a,b; default: all installed; none for none.")
-    ] = None,
-    setting: Annotated[
-        list[str] | None,
-        Option("--set", help="A setting of the backend, or of the machine, as NAME=VALUE; repeatable."),
-    ] = None,
-    as_json: JsonOption = False,
-    markdown: Annotated[
-        bool, Option("--markdown", help="Print one table of checks and backends for a document.")
-    ] = False,
+    names: list[str] | None = None,
+    controls: bool = False,
+    models: str | None = None,
+    setting: list[str] | None = None,
+    as_json: bool = False,
+    markdown: bool = False,
 ) -> ExitCode:
     """Test backends against the protocol, the laws of sections and the reference models; or controls by what they write.
 
@@ -281,7 +209,7 @@ def conform_command(
 
     Example: ebamcheck conform planecut --models cube,sphere
     """
-    values = assignments(setting or ())
+    values = options.assignments(setting or ())
     if controls:
         found = [conform_control(name, values) for name in names or registry.names(registry.CONTROLS)]
     else:
@@ -298,7 +226,6 @@ def conform_command(
 
 
 TABLE, CASE = "judged.csv", "case"
-
 # Columns of the printed table, and their headings
 SHOWN = {
     "rank": "rank", "island": "island", "entered_s": "entered, s", "model_k": "model, K",
@@ -312,26 +239,25 @@ FIGURES = {
 }
 
 
+@options.explained(
+    output=f"Folder for {CASE}/ and {TABLE}; default: RUN.judge.",
+    beads=f"Beads that heat in 3DThesis: {', '.join(BEADS)}; our model counts islands.",
+    body=f"What 3DThesis heats: {', '.join(BODIES)} around the section.",
+)
 def judge_command(
-    run: Annotated[Path, Argument(help="A finished run folder.")],
+    run: Path,
     layer: Annotated[int, Option(help="Layer, counted from 1.")],
-    output: Annotated[
-        Path | None, Option("-o", "--output", help=f"Folder for {CASE}/ and {TABLE}; default: RUN.judge.")
-    ] = None,
-    beads: Annotated[
-        str, Option(help=f"Beads that heat in 3DThesis: {', '.join(BEADS)}; our model counts islands.")
-    ] = BEADS[0],
-    body: Annotated[
-        str, Option(help=f"What 3DThesis heats: {', '.join(BODIES)} around the section.")
-    ] = BODIES[0],
-    config_file: ConfigOption = None,
-    as_json: JsonOption = False,
+    output: Path | None = None,
+    beads: str = BEADS[0],
+    body: str = BODIES[0],
+    config_file: Path | None = None,
+    as_json: bool = False,
 ) -> ExitCode:
     """Let 3DThesis say how warm the islands of a layer are when the beam enters them, beside our model.
 
     Example: ebamcheck judge blade.run --layer 4
     """
-    config, curves, plan, _ = stack_of_run(run, config_file)
+    config, curves, plan, _ = options.stack_of_run(run, config_file)
     index = index_of_number(layer, len(plan))
     folder = made_folder(output or run.with_name(f"{run.resolve().name.removesuffix('.run')}.judge"))
     layers = RunFolder(run).read_layers(str(RunFolder(run).manifest()["primary"]))
@@ -345,9 +271,8 @@ def judge_command(
     with replacing(folder / TABLE) as temporary:
         judged.table.round(4).to_csv(temporary, index=False)
     if as_json:
-        print_json(
-            {**judged.figures(), "layer": layer, "beads": beads, "body": body, "table": str(folder / TABLE)}
-        )
+        of_case = {"layer": layer, "beads": beads, "body": body, "table": str(folder / TABLE)}
+        options.print_json({**judged.figures(), **of_case})
     else:
         _tell(judged, layer, body, config, folder)
     return ExitCode.PASS
@@ -361,9 +286,8 @@ def _tell(judged: JudgedLayer, layer: int, body: str, config: Config, folder: Pa
     figures = judged.figures()
     lines = [[what, f"{figures[name]:.2f}"] for name, what in FIGURES.items()]
     for what, name in (("model", "model"), ("3DThesis", "thesis"), ("3DThesis at the entry", "thesis_spot")):
-        lines.append(
-            [f"greatest rise, {what}", _cell(f"{name}_max_k", figures[f"{name}_max_k"], most_k) + " K"]
-        )
+        rise = _cell("max_k", figures[f"{name}_max_k"], most_k)
+        lines.append([f"greatest rise, {what}", f"{rise} K"])
     typer.echo(text_table(["", ""], lines).strip("\n"))
     typer.echo(f"\nBoth are linear and begin cold; 3DThesis heats a {body}. {folder / CASE} is its case.")
 

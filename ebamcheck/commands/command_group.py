@@ -14,7 +14,7 @@ import traceback
 from collections.abc import Callable
 from importlib.metadata import EntryPoint
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import typer
 from typer.core import TyperCommand, TyperGroup
@@ -25,17 +25,9 @@ from ebamcheck.installed import entry_points, is_house, sorted_out
 from ebamcheck.printable import printable
 
 COMMANDS = "ebamcheck.commands"  # entry point group of commands that plugin packages add
-
-
-RESUMABLE = ("run", "check")  # commands that go on with what an interrupted one left behind
-
-
-# Commands that begin with all kernels compiled, beside those that show their progress
-MOST_KERNELS = frozenset(
-    ["verify", "live_command", "relayer_command", "post_command", "fit_command", "regress", "select", "paper"]
-)
-# Commands that compile the few kernels that they need as they go
-FEW_KERNELS = frozenset(["slice_command", "inspect", "compare", "polar", "preflight_command"])
+# Commands that begin with all kernels compiled, beside those that show progress; and those that compile a few as they go
+MOST_KERNELS = ("verify", "live_command", "relayer_command", "post_command", "fit_command", "regress", "select", "paper")  # fmt: skip
+FEW_KERNELS = ["slice_command", "inspect", "compare", "polar", "preflight_command"]
 
 
 class CommandGroup(TyperGroup):
@@ -59,19 +51,25 @@ class CommandGroup(TyperGroup):
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """Find the command; where a file stands in its place, the message says what to do with one."""
         if args and self.get_command(ctx, args[0]) is None and Path(args[0]).exists():
-            ctx.fail(
-                f"{args[0]!r} is no command: to make a program of a part, `ebamcheck run {shlex.join(args)}`"
-            )
+            how = f"to make a program of a part, `ebamcheck run {shlex.join(args)}`"
+            ctx.fail(f"{args[0]!r} is no command: {how}")
         return super().resolve_command(ctx, args)
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """Return a command; None where there is none of that name or its plugin is broken."""
         if (own := super().get_command(ctx, cmd_name)) is not None or cmd_name not in _plugins():
             return own
-        if self._is_listing and is_house(_plugins()[cmd_name]):
-            return TyperCommand(cmd_name, help=_told_in_source(_plugins()[cmd_name]))
+        point = _plugins()[cmd_name]
+        if self._is_listing and is_house(point):
+            return TyperCommand(cmd_name, help=_told_in_source(point))
         try:
-            function = _loaded(_plugins()[cmd_name])
+            if is_house(point):
+                function = point.load()
+            else:
+                # A stranger's is loaded once it has come through a process of its own.
+                from ebamcheck.plugins import registry
+
+                function = registry.load(point)
         except Exception as error:
             typer.echo(f"ebamcheck: warning: command {cmd_name!r} was left out: {error}", err=True)
             return None
@@ -106,15 +104,6 @@ def _docstring(module: Path, name: str) -> str:
     return ""
 
 
-def _loaded(point: EntryPoint) -> Callable[..., Any]:
-    """Load a command; a stranger's once it has come through a process of its own."""
-    if is_house(point):
-        return cast(Callable[..., Any], point.load())
-    from ebamcheck.plugins import registry
-
-    return cast(Callable[..., Any], registry.load(point))
-
-
 def guarded(function: Callable[..., Any]) -> Callable[..., None]:
     """Turn what a command raises into one line, and what it returns into the exit code of the process."""
 
@@ -136,12 +125,16 @@ def _run_guarded(function: Callable[..., Any], *args: Any, **kwargs: Any) -> Exi
         sys.stdout.flush()
     except KeyboardInterrupt as interrupt:
         code = ExitCode.INTERRUPTED
-        kept = "what was finished is kept for --resume" if function.__name__ in RESUMABLE else str(interrupt)
-        tell(f"interrupted; {kept}" if kept else "interrupted", _debugs())
+        kept = (
+            "what was finished is kept for --resume"
+            if function.__name__ in ("run", "check")
+            else str(interrupt)
+        )
+        tell(f"interrupted; {kept}" if kept else "interrupted", ended=True)
     except (typer.Exit, typer.Abort):
         raise
     except Exception as error:
-        code = ended_by(error)
+        return ended_by(error)
     return code
 
 
@@ -155,7 +148,7 @@ def ended_by(error: BaseException) -> ExitCode:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return code
     with contextlib.suppress(OSError):  # Standard error may be on the full disk.
-        tell(message, _debugs())
+        tell(message, ended=True)
     if code is ExitCode.DISK_FULL and sys.stdout is not None:
         # What is left in the buffer of the output would be tried once more when Python ends.
         with contextlib.suppress(OSError):
@@ -170,10 +163,8 @@ def _ending(error: BaseException) -> tuple[ExitCode, str]:
     numbers = {one.errno for one in chain if isinstance(one, OSError)}
     told = f"error: {_said(error)}"
     if any(map(_of_memory, chain)) or errno.ENOMEM in numbers:
-        return (
-            ExitCode.MEMORY_FULL,
-            f"error: too little memory: {_said(error)}: end other programs, or use a larger machine",
-        )
+        what = f"error: too little memory: {_said(error)}: end other programs, or use a larger machine"
+        return ExitCode.MEMORY_FULL, what
     if numbers & {errno.ENOSPC, errno.EDQUOT}:
         return ExitCode.DISK_FULL, f"{told}: make room, and run it again"
     if isinstance(error, EbamcheckError):
@@ -204,12 +195,8 @@ def _said(error: BaseException) -> str:
     return f"{error.filename or 'output'}: {error.strerror or error}"
 
 
-def _debugs() -> bool:
-    return bool(os.environ.get("EBAMCHECK_DEBUG"))
-
-
-def tell(message: str, debug: bool = False) -> None:
-    """Print a message as one line on standard error, after the traceback where one is wanted; what it quotes is made printable."""
-    if debug:
+def tell(message: str, ended: bool = False) -> None:
+    """Print a message as one line on standard error, where a command has ended after the traceback if one is wanted."""
+    if ended and os.environ.get("EBAMCHECK_DEBUG"):
         traceback.print_exc()
     typer.echo(f"ebamcheck: {printable(' '.join(message.split()))}", err=True)

@@ -9,17 +9,10 @@ from typing import Annotated, Any
 import typer
 from typer import Argument, Option
 
+from ebamcheck import curves as fits
 from ebamcheck.commands import options
 from ebamcheck.controls.thesis import SCRIPT, case_post
-from ebamcheck.curves import (
-    METHODS,
-    Curves,
-    contour_error,
-    error_reduction,
-    fit,
-    fit_deviation,
-    fit_for_program,
-)
+from ebamcheck.curves import METHODS, Curves, fit_for_program
 from ebamcheck.errors import ExitCode, InputError, SettingsError
 from ebamcheck.layers.heights import cut_heights
 from ebamcheck.layers.stack import Layers
@@ -36,29 +29,25 @@ from ebamcheck.showing.short_text import counted, text_table
 from ebamcheck.slicers.slicing import slice_part
 from ebamcheck.writing.posts import begin_at_layer, check_entry
 
-ALL = "all"
 
-PartFile = Annotated[Path, Argument(help="Mesh file: .stl, .obj, .ply or .3mf.")]
-
-
+@options.explained(
+    method=f"{', '.join(METHODS)}, or all; default: curves.method of the settings.",
+    output="FILE.parquet for the curves of one method.",
+    reference="A finer mesh of the same part: errors are measured against it.",
+    part=Argument(help="Mesh file: .stl, .obj, .ply or .3mf."),
+)
 def fit_command(
-    part: PartFile,
-    method: Annotated[
-        str, Option(help=f"{', '.join(METHODS)}, or all; default: curves.method of the settings.")
-    ] = "",
-    output: Annotated[
-        Path | None, Option("-o", "--output", help="FILE.parquet for the curves of one method.")
-    ] = None,
+    part: Path,
+    method: str = "",
+    output: Path | None = None,
     tolerance: Annotated[float | None, Option(help="Tolerance of `bounded`, mm.")] = None,
-    reference: Annotated[
-        Path | None, Option(help="A finer mesh of the same part: errors are measured against it.")
-    ] = None,
-    layer_height: options.LayerHeightOption = None,
-    config_file: options.ConfigOption = None,
-    units: options.UnitsOption = "",
-    direction: options.DirectionOption = "",
-    yes: options.YesOption = False,
-    as_json: options.JsonOption = False,
+    reference: Path | None = None,
+    layer_height: float | None = None,
+    config_file: Path | None = None,
+    units: str = "",
+    direction: str = "",
+    yes: bool = False,
+    as_json: bool = False,
 ) -> ExitCode:
     """Slice a part, fit curves to its contours and say how near they are and how many blocks they take.
 
@@ -67,7 +56,7 @@ def fit_command(
     config = options.settings_of(config_file, units, direction, layer_height)
     if tolerance is not None:
         config = config.changed(curves={"tolerance_mm": tolerance})
-    methods = tuple(METHODS) if method == ALL else (method or config.curves.method,)
+    methods = tuple(METHODS) if method == "all" else (method or config.curves.method,)
     if output is not None and (len(methods) > 1 or output.suffix.lower() != ".parquet"):
         raise SettingsError(f"{output}: give FILE.parquet and one method")
     placed = options.loaded(part, config)
@@ -75,7 +64,7 @@ def fit_command(
     truth = slice_part(read_reference(reference, part, config.part), layers.heights) if reference else None
     rows = []
     for name in methods:
-        curves = fit(layers, name, config.curves, part=placed)
+        curves = fits.fit(layers, name, config.curves, part=placed)
         if output is not None:
             curves.to_parquet(output)
         rows.append(_row(name, curves, layers, truth))
@@ -88,7 +77,7 @@ def fit_command(
 
 
 def _row(name: str, curves: Curves, layers: Layers, truth: Layers | None) -> dict[str, Any]:
-    deviation = fit_deviation(curves, layers)
+    deviation = fits.fit_deviation(curves, layers)
     row: dict[str, Any] = {
         "method": name,
         "blocks": curves.block_count(),
@@ -96,7 +85,7 @@ def _row(name: str, curves: Curves, layers: Layers, truth: Layers | None) -> dic
         "from contour, mm": float(deviation[["points_mm", "bulge_mm"]].to_numpy().max(initial=0.0)),
     }
     if truth is not None:
-        gain = error_reduction(contour_error(layers, truth), contour_error(curves, truth))
+        gain = fits.error_reduction(fits.contour_error(layers, truth), fits.contour_error(curves, truth))
         for kind in ("polar", "normal"):
             for figure in ("rms", "max"):
                 less = float(gain[f"{kind}_{figure}"])
@@ -104,22 +93,23 @@ def _row(name: str, curves: Curves, layers: Layers, truth: Layers | None) -> dic
     return row
 
 
+@options.explained(
+    layer="Case of one layer, counted from 1, for a heat simulator.",
+    from_layer=Option(
+        min=1, help="Leave out the layers before this one, counted from 1: to go on after a break."
+    ),
+)
 def post_command(
     source: Annotated[Path, Argument(help="A finished run folder, or a part to slice, fit and plan.")],
     output: Annotated[Path, Option("-o", "--output", help="Folder for the program; replaced whole.")],
     control: Annotated[str, Option(help="Post-processor; default: machine.control of the settings.")] = "",
-    layer: Annotated[
-        int | None, Option(help="Case of one layer, counted from 1, for a heat simulator.")
-    ] = None,
-    from_layer: Annotated[
-        int,
-        Option(min=1, help="Leave out the layers before this one, counted from 1: to go on after a break."),
-    ] = 1,
-    layer_height: options.LayerHeightOption = None,
-    config_file: options.ConfigOption = None,
-    units: options.UnitsOption = "",
-    direction: options.DirectionOption = "",
-    yes: options.YesOption = False,
+    layer: int | None = None,
+    from_layer: int = 1,
+    layer_height: float | None = None,
+    config_file: Path | None = None,
+    units: str = "",
+    direction: str = "",
+    yes: bool = False,
 ) -> ExitCode:
     """Write a program for a control or a whole case for a heat simulator; `ebamcheck verify` checks it, `run` validates it.
 
@@ -130,16 +120,16 @@ def post_command(
         control_named(control)
         if layer is not None:
             case_post(control)
-    if (source / MANIFEST).is_file():
+    of_run = (source / MANIFEST).is_file()
+    if of_run:
         config, beads, plan, sha256 = options.stack_of_run(source, config_file)
-        checked_window(config)
-        check_entry(from_layer, config)
     elif source.is_dir():
         raise InputError(f"{source}: is no finished run folder: it has no {MANIFEST}")
     else:
         config = options.settings_of(config_file, units, direction, layer_height)
-        checked_window(config)
-        check_entry(from_layer, config)
+    checked_window(config)
+    check_entry(from_layer, config)
+    if not of_run:
         placed = options.loaded(source, config)
         config = chosen_height(placed, inspect(placed).passed, config).config
         layers = slice_part(placed, options.within_work(placed, cut_heights(placed, config), config, yes))
@@ -160,26 +150,17 @@ def post_command(
         post = case_post(config.machine.control)
         files = post(beads, plan, config, output, header=header, layer=index_of_number(layer, len(plan)))
     blocks = sum(files.blocks.values())
-    typer.echo(
-        f"{files.main}: {counted(len(files.names), 'file')}, {counted(blocks, 'block')} for {config.machine.control}"
-    )
+    counts = f"{counted(len(files.names), 'file')}, {counted(blocks, 'block')}"
+    typer.echo(f"{files.main}: {counts} for {config.machine.control}")
+    said = "check it with `ebamcheck verify`, or let `ebamcheck run` make and validate one"
     if not is_read:
-        typer.echo(f"NOT VALIDATED: a simulator's case is not read back; {files.folder / SCRIPT} runs it")
+        said = f"a simulator's case is not read back; {files.folder / SCRIPT} runs it"
+    elif from_layer > 1 and of_run and not control and not config_file:
+        said = f"`ebamcheck verify {output} --whole {source}` checks the run and that this program is its end"
     elif from_layer > 1:
-        same = (source / MANIFEST).is_file() and not control and not config_file
-        typer.echo(f"NOT VALIDATED: {_resumed(source if same else None, output)}")
-    else:
-        typer.echo(
-            "NOT VALIDATED: check it with `ebamcheck verify`, or let `ebamcheck run` make and validate one"
+        said = (
+            "write the whole program, too (without --from-layer), and check that and this one as its end with "
+            f"`ebamcheck verify {output} --whole WHOLE --part PART`"
         )
+    typer.echo(f"NOT VALIDATED: {said}")
     return ExitCode.PASS
-
-
-def _resumed(run: Path | None, output: Path) -> str:
-    """How a program that begins at a layer is verified: against the run that it comes from, or against a whole one."""
-    if run is not None:
-        return f"`ebamcheck verify {output} --whole {run}` checks the run and that this program is its end"
-    return (
-        "write the whole program, too (without --from-layer), and check that and this one as its end with "
-        f"`ebamcheck verify {output} --whole WHOLE --part PART`"
-    )

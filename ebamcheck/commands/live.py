@@ -13,10 +13,10 @@ from typing import Annotated
 
 import numpy as np
 import typer
-from typer import Argument, Option
+from typer import Option
 
 from ebamcheck.checks.table import stands_of
-from ebamcheck.commands.options import JsonOption, numbers, print_json
+from ebamcheck.commands.options import explained, numbers, print_json
 from ebamcheck.errors import ExitCode, InputError, SettingsError
 from ebamcheck.json_values import plain
 from ebamcheck.live.before import Before
@@ -35,44 +35,32 @@ from ebamcheck.settings.config import Config, load_config
 from ebamcheck.settings.machine import OpcuaSettings
 
 MODES = ("uniform", "adaptive", "listed")
-
-FinishedRunArgument = Annotated[Path, Argument(help="A finished run folder.")]
-MovedPart = Annotated[Path | None, Option(help="File of the part, if it was moved since the run.")]
-AnnealingOption = Annotated[
-    int, Option(min=0, help="Moves by which the order of islands is improved; each thousand takes time.")
-]
+MOVED_PART = "File of the part, if it was moved since the run."
+ANNEALING = Option(min=0, help="Moves by which the order of islands is improved; each thousand takes time.")
 
 
+@explained(
+    output="Folder of the build; default: RUN.live. A build that was begun there goes on.",
+    replay="A journal: make its build again and compare every byte; nothing is waited for.",
+    opcua="Lead the build on a control, by OPC UA; needs ebamcheck[opcua].",
+    url="With --opcua: address of the control, in place of that of the settings.",
+    config_file="With --opcua: file whose section [opcua] stands for that of the run.",
+    part=MOVED_PART,
+    annealing=ANNEALING,
+)
 def live_command(
-    run: FinishedRunArgument,
-    output: Annotated[
-        Path | None,
-        Option(
-            "-o",
-            "--output",
-            help="Folder of the build; default: RUN.live. A build that was begun there goes on.",
-        ),
-    ] = None,
-    part: MovedPart = None,
+    run: Path,
+    output: Path | None = None,
+    part: Path | None = None,
     heights: Annotated[str, Option(help=f"How heights are chosen: {', '.join(MODES)}.")] = MODES[0],
     cusp: Annotated[float, Option(help="Greatest cusp of adaptive heights, mm.")] = 0.5,
     tops: Annotated[str, Option(help="Tops of listed heights over the base plate, mm, with commas.")] = "",
-    annealing: AnnealingOption = 0,
+    annealing: int = 0,
     timeout: Annotated[float, Option(help="Time without a line after which it says so, s.")] = 3600.0,
-    replay: Annotated[
-        Path | None,
-        Option(help="A journal: make its build again and compare every byte; nothing is waited for."),
-    ] = None,
-    opcua: Annotated[
-        bool, Option("--opcua", help="Lead the build on a control, by OPC UA; needs ebamcheck[opcua].")
-    ] = False,
-    url: Annotated[
-        str, Option(help="With --opcua: address of the control, in place of that of the settings.")
-    ] = "",
-    config_file: Annotated[
-        Path | None,
-        Option("-c", "--config", help="With --opcua: file whose section [opcua] stands for that of the run."),
-    ] = None,
+    replay: Path | None = None,
+    opcua: bool = False,
+    url: str = "",
+    config_file: Path | None = None,
 ) -> ExitCode:
     """Follow a build: for every measured height that comes in, publish the next layer, proved.
 
@@ -99,7 +87,9 @@ def live_command(
         if replay is not None:
             return _replayed(replay, maker, rule)
         folder = output or run.with_name(f"{run.resolve().name.removesuffix('.run')}.live")
-        _tell_of_journal(folder)
+        layers = _layers_of(folder / JOURNAL) if (folder / JOURNAL).is_file() else 0
+        if layers:
+            typer.echo(f"{folder}: goes on; its {layers} layers are made again and compared first", err=True)
         building = Building(maker, folder, rule)
         try:
             if link is not None:
@@ -133,11 +123,8 @@ def _follow_control(building: Building, opcua: OpcuaSettings) -> None:
     tell(asyncio.run(lead()))
 
 
-def _tell_of_journal(folder: Path) -> None:
-    journal = folder / JOURNAL
-    layers = sum(entry["kind"] == "layer" for entry in read_journal(journal)) if journal.is_file() else 0
-    if layers:
-        typer.echo(f"{folder}: goes on; its {layers} layers are made again and compared first", err=True)
+def _layers_of(journal: Path) -> int:
+    return sum(entry["kind"] == "layer" for entry in read_journal(journal))
 
 
 def _replayed(journal: Path, maker: LayerMaker, rule: HeightRule) -> ExitCode:
@@ -150,30 +137,28 @@ def _replayed(journal: Path, maker: LayerMaker, rule: HeightRule) -> ExitCode:
             typer.echo(f"ebamcheck: {error}", err=True)
             return ExitCode.OUT_OF_TOLERANCE
         building.close()
-    layers = sum(entry["kind"] == "layer" for entry in read_journal(journal))
-    typer.echo(f"{journal}: {layers} layers made again, every byte is the same")
+    typer.echo(f"{journal}: {_layers_of(journal)} layers made again, every byte is the same")
     return ExitCode.PASS
 
 
+@explained(
+    measured_z="Height of what stands, over the base plate, mm: the layer is laid on it.",
+    height_map="Measured surface of what stands, in place of --measured-z: CSV, NPY or TIFF.",
+    direction="Slicing direction in the file's coordinates, as X,Y,Z; default: that of the run.",
+    output="Folder of the new layers; default: RUN.live.",
+    part=MOVED_PART,
+    annealing=ANNEALING,
+)
 def relayer_command(
-    run: FinishedRunArgument,
+    run: Path,
     layer: Annotated[int, Option(help="Layer that comes next, counted from 1.")],
-    measured_z: Annotated[
-        float | None, Option(help="Height of what stands, over the base plate, mm: the layer is laid on it.")
-    ] = None,
-    height_map: Annotated[
-        Path | None,
-        Option(help="Measured surface of what stands, in place of --measured-z: CSV, NPY or TIFF."),
-    ] = None,
-    direction: Annotated[
-        str, Option(help="Slicing direction in the file's coordinates, as X,Y,Z; default: that of the run.")
-    ] = "",
-    output: Annotated[
-        Path | None, Option("-o", "--output", help="Folder of the new layers; default: RUN.live.")
-    ] = None,
-    part: MovedPart = None,
-    annealing: AnnealingOption = 0,
-    as_json: JsonOption = False,
+    measured_z: float | None = None,
+    height_map: Path | None = None,
+    direction: str = "",
+    output: Path | None = None,
+    part: Path | None = None,
+    annealing: int = 0,
+    as_json: bool = False,
 ) -> ExitCode:
     """Slice a layer at its measured height, plan, write and verify it, and put it under a new name beside the old one.
 
@@ -183,13 +168,11 @@ def relayer_command(
         raise SettingsError("give --measured-z or --height-map: the mean of a map is its height")
     if height_map is not None and direction:
         raise SettingsError("--height-map is of the layers that were laid: it does not go with --direction")
-    if measured_z is not None and (not math.isfinite(measured_z) or measured_z < 0.0):
+    if measured_z is not None and not 0.0 <= measured_z < math.inf:
         raise SettingsError(f"--measured-z {measured_z}: give a height over the base plate in mm")
-    turned = None
-    if direction:
-        turned = numbers(direction, "--direction")
-        if len(turned) != 3:
-            raise SettingsError(f"--direction {direction!r}: give three numbers")
+    turned = numbers(direction, "--direction") if direction else None
+    if turned is not None and len(turned) != 3:
+        raise SettingsError(f"--direction {direction!r}: give three numbers")
     found = finished_run(run, part, turned)
     if turned is not None and alike(turned, run):
         turned, found = None, finished_run(run, part)
@@ -198,10 +181,8 @@ def relayer_command(
     if turned is not None:
         machine = found.config.machine
         if not (machine.tilt_axes or machine.rotary):
-            raise SettingsError(
-                f"--direction {direction}: the control {machine.control!r} has no axes that turn the part between layers "
-                "(machine.tilt_axes)"
-            )
+            what = "has no axes that turn the part between layers (machine.tilt_axes)"
+            raise SettingsError(f"--direction {direction}: the control {machine.control!r} {what}")
         upright = finished_run(run, part)
         built_mm = float(upright.tops_mm[index - 1]) if index else 0.0
         found = replace(found, config=tilted(upright, found, built_mm))
@@ -228,9 +209,9 @@ def relayer_command(
 
 def alike(direction: tuple[float, ...], run: Path) -> bool:
     """Whether a direction is that of a run."""
-    was = np.array(RunFolder(run).manifest()["settings"]["part"]["direction"], np.float64)
-    now = np.array(direction, np.float64)
-    return bool(np.allclose(was / np.linalg.norm(was), now / np.linalg.norm(now), atol=1e-9))
+    both = np.array([RunFolder(run).manifest()["settings"]["part"]["direction"], direction], np.float64)
+    was, now = both / np.linalg.norm(both, axis=1)[:, None]
+    return bool(np.allclose(was, now, atol=1e-9))
 
 
 def mapped(

@@ -19,7 +19,8 @@ import typer
 from typer import Option
 
 from ebamcheck.atomic_file import made_folder, replacing
-from ebamcheck.commands.live import FinishedRunArgument, MovedPart, opcua_of
+from ebamcheck.commands.live import MOVED_PART, opcua_of
+from ebamcheck.commands.options import explained
 from ebamcheck.errors import ExitCode, SettingsError
 from ebamcheck.live.heights import bead_limits
 from ebamcheck.live.opcua.link import installed
@@ -30,35 +31,28 @@ from ebamcheck.testing.played_control.program import FAULTS, Growth, PlayedLayer
 from ebamcheck.testing.played_control.server import PROFILE, SESSIONS, desk_profile, faults_of, played
 
 TABLE = "machine.csv"
-
 START = "from ebamcheck.commands.main import main; import sys; sys.argv[0] = 'ebamcheck'; main()"
 
 
+@explained(
+    output="Folder of the build, or with --opcua of keys and table; default: RUN.live, RUN.opcua.",
+    opcua="Start nothing: wait for `ebamcheck live RUN --opcua` in another terminal.",
+    fault=f"NAME@LAYER, also several times; {', '.join(FAULTS)}.",
+    part=MOVED_PART,
+)
 def machine_command(
-    run: FinishedRunArgument,
-    output: Annotated[
-        Path | None,
-        Option(
-            "-o",
-            "--output",
-            help="Folder of the build, or with --opcua of keys and table; default: RUN.live, RUN.opcua.",
-        ),
-    ] = None,
-    part: MovedPart = None,
+    run: Path,
+    output: Path | None = None,
+    part: Path | None = None,
     drift: Annotated[float, Option(help="Share by which every layer comes out higher than planned.")] = 0.0,
     noise: Annotated[float, Option(help="Standard deviation of that share.")] = 0.0,
     seed: Annotated[int, Option(min=0, help="Seed of the noise.")] = 0,
     speed: Annotated[float, Option(help="How many times faster than planned layers are laid.")] = 100.0,
     heights: Annotated[str, Option(help="How heights are chosen: uniform, adaptive.")] = "uniform",
     cusp: Annotated[float, Option(help="Greatest cusp of adaptive heights, mm.")] = 0.5,
-    opcua: Annotated[
-        bool,
-        Option("--opcua", help="Start nothing: wait for `ebamcheck live RUN --opcua` in another terminal."),
-    ] = False,
+    opcua: bool = False,
     url: Annotated[str, Option(help="With --opcua: address to listen at.")] = "",
-    fault: Annotated[
-        list[str] | None, Option(help=f"NAME@LAYER, also several times; {', '.join(FAULTS)}.")
-    ] = None,
+    fault: list[str] | None = None,
     sessions: Annotated[int, Option(min=1, help="Sessions that the OPC UA server has.")] = SESSIONS,
 ) -> ExitCode:
     """Play a control with an OPC UA server, start `ebamcheck live RUN` beside it, and build the part, whose layers grow by a stated law.
@@ -72,7 +66,11 @@ def machine_command(
     growth, faults = Growth(drift, noise, seed), faults_of(fault or [])
     installed()
     found = finished_run(run, part)
-    link = opcua_of(found.config, None, url if opcua else _free_url())
+    if not opcua:
+        with socket.socket() as free:
+            free.bind(("127.0.0.1", 0))
+            url = f"opc.tcp://127.0.0.1:{free.getsockname()[1]}"
+    link = opcua_of(found.config, None, url)
     name = run.resolve().name.removesuffix(".run")
     folder = output or run.with_name(f"{name}.{'opcua' if opcua else 'live'}")
     if not opcua and (folder / JOURNAL).is_file():
@@ -80,9 +78,8 @@ def machine_command(
     top_mm = float(found.part.size[2])
 
     def tell(row: PlayedLayer) -> None:
-        typer.echo(
-            f"{row.layer:5d} {row.base_mm:9.3f} {row.planned_mm:8.3f} {row.grown_mm:8.3f} {row.wait_s:7.2f}s  {row.name}"
-        )
+        heights = f"{row.base_mm:9.3f} {row.planned_mm:8.3f} {row.grown_mm:8.3f}"
+        typer.echo(f"{row.layer:5d} {heights} {row.wait_s:7.2f}s  {row.name}")
 
     def listens() -> None:
         if opcua:
@@ -105,21 +102,13 @@ def machine_command(
         writer.writeheader()
         writer.writerows(asdict(row) for row in program.laid)
     off_mm, tolerance_mm = program.bed_mm - top_mm, 0.5 * bead_limits(found.config).least_mm
+    layers = len(program.laid)
     if not program.ended:
-        typer.echo(
-            f"the main program stopped after {len(program.laid)} layers: no layer was released in time"
-        )
+        typer.echo(f"the main program stopped after {layers} layers: no layer was released in time")
         return ExitCode.OUT_OF_TOLERANCE
-    typer.echo(
-        f"{len(program.laid)} layers; the top came out {off_mm:+.3f} mm off, of {tolerance_mm:.3f} mm (half the least layer)"
-    )
+    off = f"{off_mm:+.3f} mm off, of {tolerance_mm:.3f} mm (half the least layer)"
+    typer.echo(f"{layers} layers; the top came out {off}")
     return ExitCode.PASS if abs(off_mm) <= tolerance_mm else ExitCode.OUT_OF_TOLERANCE
-
-
-def _free_url() -> str:
-    with socket.socket() as found:
-        found.bind(("127.0.0.1", 0))
-        return f"opc.tcp://127.0.0.1:{found.getsockname()[1]}"
 
 
 def _started(words: Sequence[object], program: PlayedProgram) -> Callable[[], object]:

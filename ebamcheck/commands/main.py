@@ -39,12 +39,6 @@ app = typer.Typer(
     "141 nobody reads the output.",
 )
 
-OBJECTS_BEFORE_GC = 300_000
-"""New objects until Python looks for rings of dead ones. Imports make hundreds of thousands, and none that die: a slice
-of a small part, with all that it loads, is over before the first look, which would take a twentieth of its time."""
-
-LAST_STREAM = 2  # descriptor of standard error
-
 
 class _PrintableFormatter(logging.Formatter):
     """Log messages quote names from files."""
@@ -96,7 +90,8 @@ for _name, _function, _example in COMMANDS:
 
 def main() -> None:
     """Entry point of the program; ``--debug`` may stand anywhere."""
-    gc.set_threshold(OBJECTS_BEFORE_GC)
+    # Imports make hundreds of thousands of objects, and none that die: a slice of a small part is over before the first look.
+    gc.set_threshold(300_000)
     # Else Python looks through all objects once more when it ends: the time of a whole slice of a small part.
     atexit.register(gc.freeze)
     if "--debug" in sys.argv:
@@ -108,7 +103,8 @@ def main() -> None:
             # A name that the terminal's encoding cannot show is no reason to fail.
             stream.reconfigure(errors="backslashreplace")
     sys.stdout = cast(TextIO, PrintableStream(sys.stdout))
-    signal.signal(signal.SIGTERM, _terminate)
+    # End on SIGTERM as on Ctrl-C: workers are ended and temporary files go.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         sys.exit(app(standalone_mode=False))
     except (typer.Abort, KeyboardInterrupt):
@@ -133,13 +129,8 @@ def _open_streams() -> None:
     """Let streams that are closed lead nowhere: else the next file that is opened would take the place of one."""
     while True:
         descriptor = os.open(os.devnull, os.O_RDWR)
-        if descriptor > LAST_STREAM:
+        if descriptor > 2:  # that of standard error
             os.close(descriptor)
             break
     sys.stdout = sys.stdout or open(os.devnull, "w")  # noqa: SIM115
     sys.stderr = sys.stderr or open(os.devnull, "w")  # noqa: SIM115
-
-
-def _terminate(*_: object) -> None:
-    """End on SIGTERM as on Ctrl-C: workers are ended and temporary files go."""
-    raise KeyboardInterrupt

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_origin, get_type_hints
 
 import typer
 from typer import Argument, Option
@@ -21,58 +21,48 @@ if TYPE_CHECKING:
     from ebamcheck.scan import ScanPlan
     from ebamcheck.settings.config import Config
 
+Command = TypeVar("Command", bound=Callable[..., Any])
 # Settings that are taken where none are named, if there are some in the working folder
 DEFAULT_CONFIG = Path("ebamcheck.toml")
+# Options and arguments that mean the same in every command, by the names of their parameters
+KNOWN: dict[str, Any] = {
+    "part": Argument(help="Mesh file: .stl, .obj, .ply or .3mf; or plate.toml."),
+    "run": Argument(help="A finished run folder."),
+    "plate": "In place of a part: plate.toml, with several parts or copies on one plate.",
+    "config_file": "Settings (TOML); default: ./ebamcheck.toml where there is one.",
+    "output": "Run folder; default: NAME.run.",
+    "layer_height": "Layer height, mm; default: that of one bead of the process.",
+    "units": "Unit of the part's file: mm, cm, m, um, in (inch, inches), ft. Default: that of the file where it has one, else mm.",
+    "direction": "Slicing direction in the file's coordinates, as X,Y,Z.",
+    "place": "Where the middle of the part's box comes to lie, as X,Y; and its lowest point, as X,Y,Z.",
+    "rotate": "Turn about the vertical, degrees, counter-clockwise from above.",
+    "backends": "Backends to run, comma-separated; default: all of the house that are available.",
+    "witnesses": "Outside programs that slice, too, comma-separated; `all`: those installed here.",
+    "fix_orientation": "Turn flipped facets and inside-out bodies over.",
+    "yes": "Run the job even where it is more work than the settings allow (work.*).",
+    "resume": "Go on with a killed job of the same input.",
+    "force": "Run even where OUTPUT holds a finished run; that one is moved to a name with its date.",
+    "as_json": Option("--json", help="Print JSON instead of a table."),
+}
 
-ConfigOption = Annotated[
-    Path | None,
-    Option("-c", "--config", help="Settings (TOML); default: ./ebamcheck.toml where there is one."),
-]
-UnitsOption = Annotated[
-    str,
-    Option(
-        help="Unit of the part's file: mm, cm, m, um, in (inch, inches), ft. Default: that of the file where it has one, else mm."
-    ),
-]
-DirectionOption = Annotated[str, Option(help="Slicing direction in the file's coordinates, as X,Y,Z.")]
-JsonOption = Annotated[bool, Option("--json", help="Print JSON instead of a table.")]
-PartArgument = Annotated[Path, Argument(help="Mesh file: .stl, .obj, .ply or .3mf; or plate.toml.")]
-JobPart = Annotated[Path | None, Argument(help="Mesh file: .stl, .obj, .ply or .3mf; or plate.toml.")]
-PlateOption = Annotated[
-    Path | None, Option(help="In place of a part: plate.toml, with several parts or copies on one plate.")
-]
-PlaceOption = Annotated[
-    str,
-    Option(help="Where the middle of the part's box comes to lie, as X,Y; and its lowest point, as X,Y,Z."),
-]
-RotateOption = Annotated[
-    float | None, Option(help="Turn about the vertical, degrees, counter-clockwise from above.")
-]
-YesOption = Annotated[
-    bool, Option("--yes", help="Run the job even where it is more work than the settings allow (work.*).")
-]
-LayerHeightOption = Annotated[
-    float | None, Option(help="Layer height, mm; default: that of one bead of the process.")
-]
 
-RunFolderOption = Annotated[Path | None, Option("-o", "--output", help="Run folder; default: NAME.run.")]
-BackendsOption = Annotated[
-    str, Option(help="Backends to run, comma-separated; default: all of the house that are available.")
-]
-WitnessesOption = Annotated[
-    str, Option(help="Outside programs that slice, too, comma-separated; `all`: those installed here.")
-]
-FixOption = Annotated[
-    bool, Option("--fix-orientation", help="Turn flipped facets and inside-out bodies over.")
-]
-ResumeOption = Annotated[bool, Option("--resume", help="Go on with a killed job of the same input.")]
-ForceOption = Annotated[
-    bool,
-    Option(
-        "--force",
-        help="Run even where OUTPUT holds a finished run; that one is moved to a name with its date.",
-    ),
-]
+def explained(**given: Any) -> Callable[[Command], Command]:
+    """Make options of the parameters of a command that are none yet, each with its help or as given, else as known; a bool is a flag."""
+    short = {"output": ("-o", "--output"), "config_file": ("-c", "--config")}
+
+    def made(function: Command) -> Command:
+        hints = get_type_hints(function, include_extras=True)
+        for name in hints.keys() - {"return"}:
+            if get_origin(hints[name]) is Annotated:
+                continue
+            said = given.get(name) or KNOWN[name]
+            flag = ("--" + name.replace("_", "-"),) if hints[name] is bool else ()
+            option = Option(*short.get(name, flag), help=said) if isinstance(said, str) else said
+            hints[name] = Annotated[hints[name], option]
+        function.__annotations__ = hints
+        return function
+
+    return made
 
 
 def job_settings(
@@ -121,9 +111,8 @@ def part_or_plate(part: Path | None, plate: Path | None) -> Path:
     if (part is None) == (plate is None):
         raise SettingsError("give either the file of a part, or --plate with that of a plate")
     if plate is not None and plate.suffix.lower() != ".toml":
-        raise SettingsError(
-            f"--plate {plate}: a plate is a list of parts in TOML: give a file such as plate.toml"
-        )
+        what = "a plate is a list of parts in TOML: give a file such as plate.toml"
+        raise SettingsError(f"--plate {plate}: {what}")
     found = part or plate
     assert found is not None
     return found
@@ -147,11 +136,8 @@ def begun(source: Path, config: Config, job: str, yes: bool) -> Ready:
     found.preflight.stop(job)
     for check in found.preflight.checks:
         if check.level != "pass":
-            remedy = f": {check.remedy}" if check.remedy else ""
-            typer.echo(
-                printable(f"ebamcheck: preflight: {check.level}: {check.name}: {check.text}{remedy}"),
-                err=True,
-            )
+            said = ": ".join(filter(None, (check.level, check.name, check.text, check.remedy)))
+            typer.echo(printable(f"ebamcheck: preflight: {said}"), err=True)
     return found
 
 

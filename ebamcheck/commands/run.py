@@ -3,7 +3,6 @@ and what can be said before a job."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -18,36 +17,34 @@ from ebamcheck.showing.short_text import counted, text_table
 if TYPE_CHECKING:
     from ebamcheck.pipeline import RunResult
     from ebamcheck.preflight.report import Preflight
-    from ebamcheck.result import Check
     from ebamcheck.settings.config import Config
     from ebamcheck.slicers.isolation import WorkerPool
 
 
+@options.explained(
+    from_layer=Option(min=1, help="Write a program that begins at this layer, too: to go on after a break."),
+    live="Write a main program that waits between layers until each is released, too.",
+)
 def run(
-    part: options.JobPart = None,
-    plate: options.PlateOption = None,
-    config_file: options.ConfigOption = None,
-    output: options.RunFolderOption = None,
-    layer_height: options.LayerHeightOption = None,
-    backends: options.BackendsOption = "",
-    witnesses: options.WitnessesOption = "",
+    part: Path | None = None,
+    plate: Path | None = None,
+    config_file: Path | None = None,
+    output: Path | None = None,
+    layer_height: float | None = None,
+    backends: str = "",
+    witnesses: str = "",
     reference: Annotated[Path | None, Option(help="A finer tessellation of the same part.")] = None,
-    units: options.UnitsOption = "",
-    direction: options.DirectionOption = "",
-    place: options.PlaceOption = "",
-    rotate: options.RotateOption = None,
-    fix_orientation: options.FixOption = False,
-    from_layer: Annotated[
-        int, Option(min=1, help="Write a program that begins at this layer, too: to go on after a break.")
-    ] = 1,
-    live: Annotated[
-        bool,
-        Option("--live", help="Write a main program that waits between layers until each is released, too."),
-    ] = False,
-    yes: options.YesOption = False,
-    resume: options.ResumeOption = False,
-    force: options.ForceOption = False,
-    as_json: options.JsonOption = False,
+    units: str = "",
+    direction: str = "",
+    place: str = "",
+    rotate: float | None = None,
+    fix_orientation: bool = False,
+    from_layer: int = 1,
+    live: bool = False,
+    yes: bool = False,
+    resume: bool = False,
+    force: bool = False,
+    as_json: bool = False,
 ) -> ExitCode:
     """Look at the part, slice, cross-check, fit, partition, order, write the NC program, verify it and report."""
     config = options.job_settings(
@@ -55,12 +52,12 @@ def run(
     )
     config, source = options.placed_settings(config, place, rotate), options.part_or_plate(part, plate)
     part_ready = options.begun(source, config, "run", yes)
+    folder = output or Path(f"{source.stem}.run")
     with _first_slicers(config) as workers:
         from ebamcheck.commands.summaries import watched
         from ebamcheck.pipeline import run_job
 
         with watched() as observer:
-            folder = output or Path(f"{source.stem}.run")
             result = run_job(
                 source, folder, config, reference, resume, observer, part_ready,
                 force=force, from_layer=from_layer, live=live, workers=workers,
@@ -68,31 +65,31 @@ def run(
     return _told(result, as_json)
 
 
+@options.explained(
+    slabs=Option(
+        min=1,
+        max=10_000,
+        help="Read, cut and compare a binary STL in so many slabs of z; default: 1, more where memory asks for it.",
+    ),
+)
 def check(
-    part: options.JobPart = None,
-    plate: options.PlateOption = None,
-    config_file: options.ConfigOption = None,
-    output: options.RunFolderOption = None,
-    layer_height: options.LayerHeightOption = None,
-    backends: options.BackendsOption = "",
-    witnesses: options.WitnessesOption = "",
-    units: options.UnitsOption = "",
-    direction: options.DirectionOption = "",
-    place: options.PlaceOption = "",
-    rotate: options.RotateOption = None,
-    fix_orientation: options.FixOption = False,
-    slabs: Annotated[
-        int | None,
-        Option(
-            min=1,
-            max=10_000,
-            help="Read, cut and compare a binary STL in so many slabs of z; default: 1, more where memory asks for it.",
-        ),
-    ] = None,
-    yes: options.YesOption = False,
-    resume: options.ResumeOption = False,
-    force: options.ForceOption = False,
-    as_json: options.JsonOption = False,
+    part: Path | None = None,
+    plate: Path | None = None,
+    config_file: Path | None = None,
+    output: Path | None = None,
+    layer_height: float | None = None,
+    backends: str = "",
+    witnesses: str = "",
+    units: str = "",
+    direction: str = "",
+    place: str = "",
+    rotate: float | None = None,
+    fix_orientation: bool = False,
+    slabs: int | None = None,
+    yes: bool = False,
+    resume: bool = False,
+    force: bool = False,
+    as_json: bool = False,
 ) -> ExitCode:
     """Slice with every backend and compare all pairs on every layer; as `run`, without a program."""
     config = options.job_settings(
@@ -111,8 +108,8 @@ def check(
         from ebamcheck.commands.summaries import watched
         from ebamcheck.pipeline import check_job
 
+        folder = output or Path(f"{source.stem}.run")
         with watched() as observer:
-            folder = output or Path(f"{source.stem}.run")
             result = check_job(source, folder, config, resume, observer, part_ready, yes, force, workers)
     return _told(result, as_json)
 
@@ -138,38 +135,29 @@ def _told(result: RunResult, as_json: bool) -> ExitCode:
     return result.exit_code
 
 
+@options.explained(
+    target=Argument(help="A run folder; or, with --part, a program, or the folder of a live build."),
+    part="File of the part that the program should make; of a run: if it was moved since.",
+    whole="Of a program that begins at a layer (--from-layer): the run folder or program that it is the end of.",
+    quick="Of a run: believe its recorded layers and gates, slice nothing anew.",
+    trusted="Public key, or a folder of them; one must have signed. May be given again.",
+)
 def verify(
-    target: Annotated[
-        Path, Argument(help="A run folder; or, with --part, a program, or the folder of a live build.")
-    ],
-    part: Annotated[
-        Path | None,
-        Option(help="File of the part that the program should make; of a run: if it was moved since."),
-    ] = None,
-    whole: Annotated[
-        Path | None,
-        Option(
-            help="Of a program that begins at a layer (--from-layer): the run folder or program that it is the end of."
-        ),
-    ] = None,
-    quick: Annotated[
-        bool, Option("--quick", help="Of a run: believe its recorded layers and gates, slice nothing anew.")
-    ] = False,
-    trusted: Annotated[
-        list[Path] | None,
-        Option(help="Public key, or a folder of them; one must have signed. May be given again."),
-    ] = None,
-    config_file: options.ConfigOption = None,
-    layer_height: options.LayerHeightOption = None,
-    units: options.UnitsOption = "",
-    as_json: options.JsonOption = False,
+    target: Path,
+    part: Path | None = None,
+    whole: Path | None = None,
+    quick: bool = False,
+    trusted: list[Path] | None = None,
+    config_file: Path | None = None,
+    layer_height: float | None = None,
+    units: str = "",
+    as_json: bool = False,
 ) -> ExitCode:
     """Work every gate of a finished run out again, or check a program against a part, from the program's text."""
     from ebamcheck.live.verifying import holds_layers
     from ebamcheck.record.certificate import find_record
     from ebamcheck.record.run_folder import MANIFEST
     from ebamcheck.result import check_record
-    from ebamcheck.showing.short_text import text_table
     from ebamcheck.verification import verify as verification
 
     if holds_layers(target):
@@ -185,10 +173,8 @@ def verify(
     if as_json:
         options.print_json([check_record(check) for check in checks])
     else:
-        rows = [
-            ["pass" if c.passed else "FAIL", c.name, c.value, c.limit, c.unit, c.where, c.text]
-            for c in checks
-        ]
+        verdicts = {True: "pass", False: "FAIL"}
+        rows = [[verdicts[c.passed], c.name, c.value, c.limit, c.unit, c.where, c.text] for c in checks]
         print(text_table(["", "check", "value", "limit", "unit", "where", ""], rows))
         failed = sum(not c.passed for c in checks)
         print(f"\n{len(checks) - failed} of {len(checks)} checks passed")
@@ -199,15 +185,13 @@ def _build(folder: Path, part: Path | None, as_json: bool) -> ExitCode:
     from ebamcheck.live.verifying import VerifiedLayer, verify_build
 
     if part is None:
-        raise SettingsError(
-            f"{folder}: holds layers of a live build, or of `ebamcheck relayer`: name the part with --part"
-        )
+        what = "holds layers of a live build, or of `ebamcheck relayer`: name the part with --part"
+        raise SettingsError(f"{folder}: {what}")
 
     def tell(layer: VerifiedLayer) -> None:
+        verdict = "pass" if layer.passed else "FAIL"
         if not as_json:
-            print(
-                f"{'pass' if layer.passed else 'FAIL'}  {layer.name}  {layer.checks} checks  {layer.why}".rstrip()
-            )
+            print(f"{verdict}  {layer.name}  {layer.checks} checks  {layer.why}".rstrip())
 
     found = verify_build(folder, part, tell)
     good = sum(layer.passed for layer in found)
@@ -218,22 +202,20 @@ def _build(folder: Path, part: Path | None, as_json: bool) -> ExitCode:
     return ExitCode.PASS if found and good == len(found) else ExitCode.OUT_OF_TOLERANCE
 
 
-SHOWN = {"pass": "pass", "warning": "warn", "fault": "FAULT"}  # levels as the table has them
-
-
+@options.explained()
 def preflight_command(
     part: Annotated[Path | None, Argument(help="Mesh file: .stl, .obj, .ply or .3mf; or plate.toml.")] = None,
-    plate: options.PlateOption = None,
+    plate: Path | None = None,
     job: Annotated[str, Option(help="Job that is meant: run, or check without a program.")] = "run",
-    config_file: options.ConfigOption = None,
-    layer_height: options.LayerHeightOption = None,
-    units: options.UnitsOption = "",
-    direction: options.DirectionOption = "",
-    place: options.PlaceOption = "",
-    rotate: options.RotateOption = None,
-    fix_orientation: options.FixOption = False,
-    yes: options.YesOption = False,
-    as_json: options.JsonOption = False,
+    config_file: Path | None = None,
+    layer_height: float | None = None,
+    units: str = "",
+    direction: str = "",
+    place: str = "",
+    rotate: float | None = None,
+    fix_orientation: bool = False,
+    yes: bool = False,
+    as_json: bool = False,
 ) -> ExitCode:
     """Look at mesh, units, machine, settings and the work to come; exit code 1 where something cannot work.
 
@@ -244,9 +226,8 @@ def preflight_command(
 
     if job not in EVERY:
         raise SettingsError(f"--job {job!r}: give one of {', '.join(EVERY)}")
-    config = options.placed_settings(
-        options.settings_of(config_file, units, direction, layer_height), place, rotate
-    )
+    config = options.settings_of(config_file, units, direction, layer_height)
+    config = options.placed_settings(config, place, rotate)
     if fix_orientation:
         config = config.changed(part={"fix_orientation": True})
     found = ready(options.part_or_plate(part, plate), config, job, yes).preflight
@@ -259,21 +240,16 @@ def preflight_command(
 
 def preflight_text(found: Preflight) -> str:
     """Table of the checks, what to do about those that do not pass, and the verdict."""
-    remedies = [
-        f"{check.name}: {check.remedy}" for check in found.checks if check.level != "pass" and check.remedy
-    ]
-    faults = sum(check.level == "fault" for check in found.checks)
-    warned = sum(check.level == "warning" for check in found.checks)
-    blocks = [
-        text_table(["", "check", "figure", "limit", "unit", ""], [_row(check) for check in found.checks]),
-        "\n".join(remedies),
-        f"{len(found.checks)} checks: {counted(faults, 'fault')}, {counted(warned, 'warning')}",
-    ]
-    return "\n\n".join(block for block in blocks if block)
-
-
-def _row(check: Check) -> Sequence[str]:
     from ebamcheck.result import known
 
-    figures = ["" if value is None else f"{value:.6g}" for value in (check.figure, known(check.limit))]
-    return [SHOWN[check.level], check.name, *figures, check.unit, check.text]
+    levels, rows = {"pass": "pass", "warning": "warn", "fault": "FAULT"}, []
+    for check in found.checks:
+        figures = ["" if value is None else f"{value:.6g}" for value in (check.figure, known(check.limit))]
+        rows.append([levels[check.level], check.name, *figures, check.unit, check.text])
+    warnings = (check for check in found.checks if check.level != "pass" and check.remedy)
+    remedies = [f"{check.name}: {check.remedy}" for check in warnings]
+    counts = {level: sum(check.level == level for check in found.checks) for level in ("fault", "warning")}
+    verdict = ", ".join(counted(count, level) for level, count in counts.items())
+    table = text_table(["", "check", "figure", "limit", "unit", ""], rows)
+    blocks = [table, "\n".join(remedies), f"{len(rows)} checks: {verdict}"]
+    return "\n\n".join(block for block in blocks if block)

@@ -23,7 +23,6 @@ from ebamcheck.commands import options
 from ebamcheck.commands.summaries import watched
 from ebamcheck.errors import ExitCode, SettingsError, interruptible
 from ebamcheck.heat import ContourModes
-from ebamcheck.heat.island_heat import IslandHeat
 from ebamcheck.json_values import plain
 from ebamcheck.kernels import Floats
 from ebamcheck.layers.heights import cut_heights, heights_within
@@ -49,13 +48,7 @@ from ebamcheck.showing import pictures
 from ebamcheck.showing.short_text import text_table
 from ebamcheck.slicers.slicing import slice_part
 
-ALL = "all"
-
-ORDERS_TABLE, LAYERS_TABLE = "orders.json", "layers.csv"
-
 BUILT = "built_s"  # column: time from the start of the build to the end of a layer, with the waits between
-LEAST_HEIGHT_MM = 1e-3  # a layer at the very bottom of a part is exported so high over the plate
-
 # Figures of the printed table of orders, and their headings
 HEADINGS = {
     "order": "order", "entry_max_k": "entry max, K", "entry_sd_k": "sd, K", "excess_uniformity": "excess R",
@@ -63,38 +56,29 @@ HEADINGS = {
     "time_s": "time, s",
 }  # fmt: skip
 
-COMMON = 0.9  # share of the cells that the colours tell apart: the last islands are far hotter
 
-
+@options.explained(
+    all_layers=Option("--all", help="All layers from below, with the heat of those under them."),
+    pause=Option(help="With --all: wait between two layers, s; default: process.layer_pause_s.", min=0.0),
+    orders=f"{', '.join(order_names())}, or all; comma-separated. Default: scan.order.",
+    output="Folder for orders.json and pictures.",
+    export="Also write the path of each order for heat simulators, by the names of their controls, or for all.",
+)
 def scan_command(
-    part: options.PartArgument,
+    part: Path,
     height: Annotated[float | None, Option(help="Absolute height z of the layer, mm.")] = None,
-    all_layers: Annotated[
-        bool, Option("--all", help="All layers from below, with the heat of those under them.")
-    ] = False,
-    pause: Annotated[
-        float | None,
-        Option(help="With --all: wait between two layers, s; default: process.layer_pause_s.", min=0.0),
-    ] = None,
-    layer_height: options.LayerHeightOption = None,
-    orders: Annotated[
-        str, Option(help=f"{', '.join(order_names())}, or all; comma-separated. Default: scan.order.")
-    ] = "",
-    output: Annotated[
-        Path | None, Option("-o", "--output", help="Folder for orders.json and pictures.")
-    ] = None,
-    export: Annotated[
-        str,
-        Option(
-            help="Also write the path of each order for heat simulators, by the names of their controls, or for all."
-        ),
-    ] = "",
+    all_layers: bool = False,
+    pause: float | None = None,
+    layer_height: float | None = None,
+    orders: str = "",
+    output: Path | None = None,
+    export: str = "",
     seeds: Annotated[int, Option(help=f"Seeds over which `{RANDOM}` is averaged.")] = SEEDS,
-    config_file: options.ConfigOption = None,
-    units: options.UnitsOption = "",
-    direction: options.DirectionOption = "",
-    yes: options.YesOption = False,
-    as_json: options.JsonOption = False,
+    config_file: Path | None = None,
+    units: str = "",
+    direction: str = "",
+    yes: bool = False,
+    as_json: bool = False,
 ) -> ExitCode:
     """Plan one layer in one or several scan orders, or all layers in one; say how hot, how far and how long.
 
@@ -102,10 +86,14 @@ def scan_command(
     """
     config = options.settings_of(config_file, units, direction, layer_height)
     checked_window(config)
-    wanted = compared_orders() if orders == ALL else options.names(orders) or (config.scan.order,)
+    wanted = compared_orders() if orders == "all" else options.names(orders) or (config.scan.order,)
     for name in wanted:  # an unknown one is refused before anything is computed
         config.changed(scan={"order": name})
-    exported = _exported(export, output)
+    exported = simulators() if export == "all" else options.names(export)
+    if unknown := set(exported) - set(simulators()):
+        raise SettingsError(f"--export {sorted(unknown)[0]!r}: choose from {', '.join(simulators())}, or all")
+    if exported and output is None:
+        raise SettingsError("--export: give the folder with -o")
     if seeds < 1:
         raise SettingsError(f"--seeds {seeds}: give at least 1")
     if all_layers == (height is not None):
@@ -122,19 +110,6 @@ def scan_command(
     return scan_layer(placed, config, height, wanted, seeds, exported, output, as_json)
 
 
-def _exported(export: str, output: Path | None) -> tuple[str, ...]:
-    known = simulators()
-    exported = known if export == ALL else options.names(export)
-    if unknown := set(exported) - set(known):
-        raise SettingsError(f"--export {sorted(unknown)[0]!r}: choose from {', '.join(known)}, or all")
-    if exported and output is None:
-        raise SettingsError("--export: give the folder with -o")
-    return exported
-
-
-# -- all layers --------------------------------------------------------------------------------------
-
-
 def scan_all(
     part: Part, config: Config, order: str, output: Path | None, as_json: bool, yes: bool
 ) -> ExitCode:
@@ -145,12 +120,9 @@ def scan_all(
     found = scan_part(sections, heights_mm, config, order, config.scan.seed)
     rows: list[dict[str, Any]] = []
     built_s = 0.0
-    file = os.devnull if output is None else made_folder(output) / LAYERS_TABLE
-    with (
-        closing(found),
-        open(file, "w", newline="", encoding="utf-8", buffering=1) as opened,
-        watched() as observer,
-    ):
+    file = os.devnull if output is None else made_folder(output) / "layers.csv"
+    opening = open(file, "w", newline="", encoding="utf-8", buffering=1)  # noqa: SIM115
+    with closing(found), opening as opened, watched() as observer:
         table = csv.DictWriter(opened, [*WHOLE_PART, BUILT])
         table.writeheader()
         observer.stage("order and heat", len(sections))
@@ -172,16 +144,13 @@ def scan_all(
         options.print_json([{k: None if v != v else v for k, v in row.items()} for row in rows])
         return ExitCode.PASS
     typer.echo(f"{len(rows)} layers in the order {order}, {config.process.base} base\n")
+
+    def figure(value: float) -> str:
+        return "-" if value != value else f"{value:.6g}" if isinstance(value, int) else f"{value:.1f}"
+
     shown = [*(name for name in WHOLE_PART if name != "stored_j"), BUILT]
-    typer.echo(text_table(shown, [[_figure(row[name]) for name in shown] for row in rows]))
+    typer.echo(text_table(shown, [[figure(row[name]) for name in shown] for row in rows]))
     return ExitCode.PASS
-
-
-def _figure(value: float) -> str:
-    return "-" if value != value else f"{value:.6g}" if isinstance(value, int) else f"{value:.1f}"
-
-
-# -- one layer ---------------------------------------------------------------------------------------
 
 
 @dataclass
@@ -198,8 +167,7 @@ class _Compared:
 
     def write(self, folder: Path) -> None:
         """Write the table into a folder that is there."""
-        text = json.dumps(plain(self.records()), indent=2, sort_keys=True) + "\n"
-        _write(folder, {ORDERS_TABLE: text})
+        _write(folder, {"orders.json": json.dumps(plain(self.records()), indent=2, sort_keys=True) + "\n"})
 
 
 def scan_layer(
@@ -239,7 +207,13 @@ def scan_layer(
     if as_json:
         options.print_json(done.records())
     else:
-        rows = [[_cell(row[name]) for name in HEADINGS] for row in done.records()]
+
+        def cell(value: Any) -> str:
+            if value is None or isinstance(value, str):
+                return value or "-"
+            return f"{value:.2f}" if abs(value) < 10 else f"{value:.0f}"
+
+        rows = [[cell(row[name]) for name in HEADINGS] for row in done.records()]
         count, base = len(layer.laid.islands), config.process.base
         low, high = part.bounds[:, 2].tolist()
         beside = "" if count else f" (the part reaches from {low:g} to {high:g} mm)"
@@ -272,21 +246,17 @@ def _export(
 ) -> None:
     """Write the path of each order for each simulator, as paths/ORDER/SIMULATOR, at the height over the plate.
 
-    Posts count Z from the first layer of a stack, which is as high as its step to the second: so the layer is the second of two, the
-    lower one empty, and lies at twice that step.
+    A stack's first layer is as high as its step to the second: so the layer is the second of two, at twice that step, the lower one empty.
     """
-    step_mm = 0.5 * max(over_plate_mm, LEAST_HEIGHT_MM)
+    step_mm = 0.5 * max(over_plate_mm, 1e-3)
     heights = np.array([height_mm - step_mm, height_mm])
     for name, result in shown.items() if simulators else ():
-        plan = result.plan
-        plan = replace(
-            plan,
-            heights=heights,
-            contours=np.array([shapely.Polygon(), *plan.contours], object),
-            island_layer=plan.island_layer + 1,
-            metrics=pd.concat([plan.metrics] * 2, ignore_index=True).assign(wait_s=0.0),
-            sections=None if plan.sections is None else np.array([shapely.Polygon(), *plan.sections], object),
-        )
+        plan, none = result.plan, shapely.Polygon()
+        two: dict[str, Any] = {"heights": heights, "contours": np.array([none, *plan.contours], object)}
+        two["metrics"] = pd.concat([plan.metrics] * 2, ignore_index=True).assign(wait_s=0.0)
+        if plan.sections is not None:
+            two["sections"] = np.array([none, *plan.sections], object)
+        plan = replace(plan, island_layer=plan.island_layer + 1, **two)
         beads = bead_paths(from_polygons(heights, [[], []]), plan, config)
         for simulator in simulators:
             program = config.changed(machine={"control": simulator})
@@ -299,56 +269,47 @@ def _write(folder: Path, files: dict[str, str]) -> None:
             temporary.write_text(text, encoding="utf-8")
 
 
-def _cell(value: Any) -> str:
-    if value is None:
-        return "-"
-    return value if isinstance(value, str) else f"{value:.2f}" if abs(value) < 10 else f"{value:.0f}"
-
-
 def order_pictures(
     compared: OrderComparison,
     results: Mapping[str, OrderResult],
     figures: Mapping[str, tuple[float, float]],
     what: str,
 ) -> dict[str, str]:
-    """Texts by file name: two maps an order, and its last temperatures.
+    """Texts by file name: two maps an order, and its last temperatures, all in one frame and on one scale.
 
-    All show the same frame with contour beads and path, and all temperatures of all orders have one scale: it ends at
-    the hottest entry or at what most of a finished layer is under, whichever is more, and at the boiling point at last.
-    `figures` are travel and greatest entry temperature of each order, as the table has them.
+    It ends at the hottest entry, or what most of a finished layer is under, and at boiling at last; `figures` are travel and hottest entry.
     """
     islands, section = compared.laid.islands, compared.laid.regions.section
+    plans = {name: result.plan for name, result in results.items()}
     scenes = {
-        name: pictures.Scene.of(section, result.plan.contours[0], result.plan.vectors_of(0))
-        for name, result in results.items()
+        n: pictures.Scene.of(section, plan.contours[0], plan.vectors_of(0)) for n, plan in plans.items()
     }
     files = {}
     for name, result in results.items():
-        rank = result.rank.astype(np.float64)
-        files[f"{name}-rank.svg"] = pictures.islands_svg(
-            islands, rank, f"{what}: rank, {name}", scene=scenes[name]
-        )
-    if compared.heat is None:
+        rank, title = result.rank.astype(np.float64), f"{what}: rank, {name}"
+        files[f"{name}-rank.svg"] = pictures.islands_svg(islands, rank, title, scene=scenes[name])
+    heat = compared.heat
+    if heat is None or not isinstance(plane := heat.model.plane, ContourModes):
         return files
-    plane = compared.heat.model.plane
-    if not isinstance(plane, ContourModes):
-        return files
-    at_end = {name: _at_end(compared.heat, plane, result) for name, result in results.items()}
+    at_end = {}
+    for name, result in results.items():
+        _, state = entered(heat, np.argsort(result.rank), result.start_s, result.end_s)
+        # Temperature rise in the cells of the section when an order is done, (M,).
+        at_end[name] = np.asarray(plane.values @ (state @ heat.modes.in_layer), np.float64)  # noqa: PD011
     hottest = max(float(result.entry_k.max()) for result in results.values())
-    warmest = max(float(np.quantile(last_k, COMMON)) for last_k in at_end.values())
+    # The colours tell nine of ten cells apart: the last islands are far hotter.
+    warmest = max(float(np.quantile(last_k, 0.9)) for last_k in at_end.values())
     config = compared.config
     ambient_k = config.process.ambient_temperature_k
     solidus, boiling = (k - ambient_k for k in (config.material.solidus_k, config.material.boiling_k))
     scale = pictures.TemperatureScale.of(max(hottest, warmest), solidus, boiling)
     for name, result in results.items():
-        title = f"{what}: entry temperature rise, {name}"
-        files[f"{name}-entry.svg"] = pictures.islands_svg(
-            islands, result.entry_k, title, " K", scene=scenes[name], temperatures=scale
-        )
+        title, scene = f"{what}: entry temperature rise, {name}", scenes[name]
+        entry = pictures.islands_svg(islands, result.entry_k, title, " K", scene=scene, temperatures=scale)
         title = f"{what}: temperature rise when the layer is done, {name}"
-        files[f"{name}-field.svg"] = pictures.field_svg(
-            partial(_rises, plane, at_end[name]), section, title, " K", scale.greatest, scenes[name], scale
-        )
+        rises = partial(_rises, plane, at_end[name])
+        field = pictures.field_svg(rises, section, title, " K", scale.greatest, scene, scale)
+        files |= {f"{name}-entry.svg": entry, f"{name}-field.svg": field}
     files["pareto.svg"] = pictures.pareto_svg(figures, f"{what}: {len(islands)} islands")
     return files
 
@@ -356,9 +317,3 @@ def order_pictures(
 def _rises(plane: ContourModes, of_cells: Floats, points: Floats) -> Floats:
     """Rises at points (n, 2) between those in the cells of the section."""
     return plane.grid.interpolation(points) @ of_cells
-
-
-def _at_end(heat: IslandHeat, plane: ContourModes, result: OrderResult) -> Floats:
-    """Temperature rise in the cells of the section when an order is done, (M,)."""
-    _, state = entered(heat, np.argsort(result.rank), result.start_s, result.end_s)
-    return np.asarray(plane.values @ (state @ heat.modes.in_layer), np.float64)  # noqa: PD011

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import typer
 from typer import Argument, Option
 
+from ebamcheck.commands.options import explained
 from ebamcheck.errors import ExitCode
 from ebamcheck.printable import printable
 from ebamcheck.record.certificate import CERTIFICATE, lots_of, read_certificate, released
@@ -30,23 +31,23 @@ def key_command(
     return ExitCode.PASS
 
 
+@explained(
+    lot="NAME=NUMBER of a lot, such as wire=W-1234. May be given again.",
+    deviation="A deviation that is accepted. May be given again.",
+)
 def sign_command(
-    run: Annotated[Path, Argument(help="A finished run folder.")],
+    run: Path,
     key: Annotated[Path, Option(help="Private key (PEM), made by `ebamcheck key`.")],
     name: Annotated[str, Option(help="Name of who signs.")],
     role: Annotated[str, Option(help="What he or she signs as.")] = "approver",
     part_number: Annotated[str, Option(help="Number of the part.")] = "",
     revision: Annotated[str, Option(help="Revision of the part.")] = "",
     machine_serial: Annotated[str, Option(help="Serial number of the machine.")] = "",
-    lot: Annotated[
-        list[str] | None, Option(help="NAME=NUMBER of a lot, such as wire=W-1234. May be given again.")
-    ] = None,
+    lot: list[str] | None = None,
     operator: Annotated[str, Option(help="Who runs the build.")] = "",
     approver: Annotated[str, Option(help="Who releases it; default: NAME, if the role is approver.")] = "",
     date: Annotated[str, Option(help="Date of the release, as your records write it.")] = "",
-    deviation: Annotated[
-        list[str] | None, Option(help="A deviation that is accepted. May be given again.")
-    ] = None,
+    deviation: list[str] | None = None,
 ) -> ExitCode:
     """Add part number, lots, approver and deviations to a run's certificate, and sign it.
 
@@ -57,16 +58,9 @@ def sign_command(
     """
     path = run / CERTIFICATE
     refuse_unfit(RunFolder(run))
-    given: dict[str, Any] = {
-        "part_number": part_number,
-        "revision": revision,
-        "machine_serial": machine_serial,
-        "lots": lots_of(lot or []),
-        "operator": operator,
-        "approver": approver,
-        "date": date,
-        "deviations": deviation or [],
-    }
+    numbers = {"part_number": part_number, "revision": revision, "machine_serial": machine_serial}
+    people = {"operator": operator, "approver": approver, "date": date, "deviations": deviation or []}
+    given: dict[str, Any] = {**numbers, "lots": lots_of(lot or []), **people}
     release = {field: value for field, value in given.items() if value}
     if role == "approver" and not approver and not read_certificate(path)["release"]["approver"]:
         release["approver"] = name

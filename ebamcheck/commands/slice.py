@@ -22,30 +22,23 @@ if TYPE_CHECKING:
 _log = logging.getLogger(__name__)
 
 
+@options.explained(
+    output="FILE.parquet, .cli (Common Layer Interface), .svg, .dxf, .vtp, .3mf or .csv.",
+    backend="Backend; default: the available exact one of the highest priority.",
+    heights="Listed heights, mm, comma-separated, instead of uniform layers.",
+    setting=Option("--set", help="Backend setting NAME=VALUE; repeatable."),
+)
 def slice_command(
-    part: options.PartArgument,
-    output: Annotated[
-        Path,
-        Option(
-            "-o",
-            "--output",
-            help="FILE.parquet, .cli (Common Layer Interface), .svg, .dxf, .vtp, .3mf or .csv.",
-        ),
-    ],
-    backend: Annotated[
-        str, Option(help="Backend; default: the available exact one of the highest priority.")
-    ] = "",
-    layer_height: options.LayerHeightOption = None,
-    heights: Annotated[
-        str, Option(help="Listed heights, mm, comma-separated, instead of uniform layers.")
-    ] = "",
-    setting: Annotated[
-        list[str] | None, Option("--set", help="Backend setting NAME=VALUE; repeatable.")
-    ] = None,
-    config_file: options.ConfigOption = None,
-    units: options.UnitsOption = "",
-    direction: options.DirectionOption = "",
-    yes: options.YesOption = False,
+    part: Path,
+    output: Path,
+    backend: str = "",
+    layer_height: float | None = None,
+    heights: str = "",
+    setting: list[str] | None = None,
+    config_file: Path | None = None,
+    units: str = "",
+    direction: str = "",
+    yes: bool = False,
 ) -> ExitCode:
     """Slice a part with one backend and write its layers."""
     from ebamcheck.layers.files import format_of
@@ -73,15 +66,14 @@ def slice_command(
         from ebamcheck.slicers.slicing import slice_to_file
 
         placed = options.loaded(part, config)
-        wanted = (
-            heights_within(placed, options.numbers(heights, "--heights"), "--heights")
-            if heights
-            else layer_heights(placed, config.layer_height_mm)
-        )
+        if heights:
+            wanted = heights_within(placed, options.numbers(heights, "--heights"), "--heights")
+        else:
+            wanted = layer_heights(placed, config.layer_height_mm)
         options.within_work(placed, wanted, config, yes)
-        limits = Limits(config.slicing.time_limit_s, config.slicing.memory_limit_mb)
-        points = config.slicing.block_points
-        made = slice_to_file(placed, wanted, output, name, limits, points, pool, **values)
+        slicing = config.slicing
+        limits = Limits(slicing.time_limit_s, slicing.memory_limit_mb)
+        made = slice_to_file(placed, wanted, output, name, limits, slicing.block_points, pool, **values)
     if made.open_paths or not made.rings:
         what = "has open paths" if made.open_paths else "has no contour on any layer"
         _log.warning("%s %s: `ebamcheck inspect` tells whether its mesh is open or inside out", part, what)
@@ -90,18 +82,16 @@ def slice_command(
     return ExitCode.PASS
 
 
-HEIGHT_ROUNDING_MM = 1e-4  # what formats with 32-bit numbers may round heights by, over a metre
-
-
+@options.explained(
+    a=Argument(help="Layers of one slicer (.parquet, .cli, .svg, .dxf, .vtp, .3mf or .csv)."),
+)
 def compare(
-    a: Annotated[
-        Path, Argument(help="Layers of one slicer (.parquet, .cli, .svg, .dxf, .vtp, .3mf or .csv).")
-    ],
+    a: Path,
     b: Annotated[Path, Argument(help="Layers of another, at the same heights.")],
     tolerance: Annotated[float, Option(help="Depth of the symmetric difference allowed, mm.")] = 0.001,
     output: Annotated[Path | None, Option("-o", "--output", help="Write the table as CSV.")] = None,
     any_part: Annotated[bool, Option("--any-part", help="Compare slices of different parts, too.")] = False,
-    as_json: options.JsonOption = False,
+    as_json: bool = False,
 ) -> ExitCode:
     """Compare two slice files layer by layer; exit code 1 where they differ by more than the tolerance."""
     import numpy as np
@@ -116,7 +106,8 @@ def compare(
     if not tolerance >= 0.0:
         raise SettingsError(f"--tolerance {tolerance}: give 0 or a positive number of millimetres")
     one, other = read_layers(a), read_layers(b)
-    if len(one) == len(other) and np.allclose(one.heights, other.heights, rtol=0.0, atol=HEIGHT_ROUNDING_MM):
+    # Formats with 32-bit numbers may round heights by so much, over a metre.
+    if len(one) == len(other) and np.allclose(one.heights, other.heights, rtol=0.0, atol=1e-4):
         other = replace(other, heights=one.heights)
     if one.part and other.part and one.part != other.part and not any_part:
         raise SettingsError(f"{a} and {b} are of different parts: give slices of one part, or --any-part")
@@ -138,15 +129,16 @@ def compare(
     return ExitCode.PASS if table["agrees"].all() else ExitCode.OUT_OF_TOLERANCE
 
 
+@options.explained(
+    regions="List the surfaces that the curves see: planes, cylinders, freeform.",
+)
 def inspect(
-    part: options.PartArgument,
-    units: options.UnitsOption = "",
-    regions: Annotated[
-        bool, Option("--regions", help="List the surfaces that the curves see: planes, cylinders, freeform.")
-    ] = False,
+    part: Path,
+    units: str = "",
+    regions: bool = False,
     picture: Annotated[Path | None, Option(help="Draw the surfaces into FILE.svg; with --regions.")] = None,
-    config_file: options.ConfigOption = None,
-    as_json: options.JsonOption = False,
+    config_file: Path | None = None,
+    as_json: bool = False,
 ) -> ExitCode:
     """Count the defects of a part and judge whether it can be sliced; exit code 1 where it should not."""
     from ebamcheck.mesh.inspection import inspect as inspect_part
@@ -157,25 +149,23 @@ def inspect(
 
     if picture is not None and (not regions or picture.suffix.lower() != ".svg"):
         raise SettingsError(f"--picture {picture}: it draws regions as SVG; give --regions and FILE.svg")
-    loaded_part, _ = read_part(
-        part, checked(PartSettings, {"units": unit_named(units)} if units else {}, "--units")
-    )
+    given = {"units": unit_named(units)} if units else {}
+    loaded_part, _ = read_part(part, checked(PartSettings, given, "--units"))
     found = inspect_part(loaded_part)
     listed: list[Surface] = []
     if regions:
         from ebamcheck.showing.pictures import regions_svg
-        from ebamcheck.surface.surfaces import surfaces
+        from ebamcheck.surface.surfaces import surfaces, table
 
         listed = surfaces(loaded_part, options.settings_of(config_file, "", "", None).curves)
         if picture is not None:
             kinds = [(surface.kind, surface.facets) for surface in listed]
             drawn = regions_svg(loaded_part.triangles, kinds, f"Regions of {loaded_part.name}")
             picture.write_text(drawn, encoding="utf-8")
+    figures = found.as_dict()
     if as_json:
-        figures = found.as_dict()
         options.print_json({**figures, "regions": [s.as_dict() for s in listed]} if regions else figures)
     else:
-        figures = found.as_dict()
         for key in ("name", "verdict", "why", "notes", "passed", "relations", "union_known", "units_from"):
             figures.pop(key)
         figures["size_mm"] = " x ".join(f"{s:.6g}" for s in found.size_mm)
@@ -191,7 +181,5 @@ def inspect(
             typer.echo(f"{'note':20} {note}")
         typer.echo(f"{'verdict':20} {found.verdict}: {found.why}")
         if regions:
-            from ebamcheck.surface.surfaces import table
-
             typer.echo(f"\n{table(listed)}")
     return ExitCode.PASS if found.passed else ExitCode.OUT_OF_TOLERANCE

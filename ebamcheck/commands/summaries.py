@@ -10,7 +10,6 @@ from contextlib import contextmanager
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from ebamcheck.backend import Slicer
 from ebamcheck.commands.warm import warm_kernels
 from ebamcheck.installed import BrokenPlugin
 from ebamcheck.plugins import registry
@@ -21,120 +20,86 @@ from ebamcheck.result import Place, in_words
 from ebamcheck.showing.short_text import text_table
 
 if TYPE_CHECKING:
-    from rich.console import Console
     from rich.progress import Progress, TaskID
 
 
 def backend_record(name: str) -> dict[str, Any]:
     """What `ebamcheck backends` knows of a slicer; bounds are those of a cube of 100 mm under default settings."""
-    slicer, probe = registry.slicer(name), registry.probe(name)
-    error_mm, height_mm = _bounds_of_cube(slicer)
-    return {
-        **{key: getattr(slicer, key) for key in TOLD_ATTRIBUTES},
-        **asdict(probe),
-        "error_bound_mm": error_mm,
-        "height_bound_mm": height_mm,
-    }
-
-
-def _bounds_of_cube(slicer: Slicer) -> tuple[float | None, float | None]:
-    """Bounds of a cube of 100 mm; of a stranger as it has told them."""
+    slicer = registry.slicer(name)
+    bounds: tuple[float | None, float | None]
     if isinstance(slicer, StrangerSlicer):
-        return slicer.answer.bounds_mm or (None, None)
-    part, settings = cube(), slicer.Settings()
-    return slicer.error_bound_mm(part, settings), slicer.height_bound_mm(part, settings)
-
-
-def broken_record(plugin: BrokenPlugin) -> dict[str, Any]:
-    """What `ebamcheck backends` knows of a plugin that was left out."""
-    return {**vars(plugin), "available": False, "broken": True}
+        bounds = slicer.answer.bounds_mm or (None, None)
+    else:
+        part, settings = cube(), slicer.Settings()
+        bounds = slicer.error_bound_mm(part, settings), slicer.height_bound_mm(part, settings)
+    told = {key: getattr(slicer, key) for key in TOLD_ATTRIBUTES} | asdict(registry.probe(name))
+    return told | {"error_bound_mm": bounds[0], "height_bound_mm": bounds[1]}
 
 
 def backends_text(records: Sequence[Mapping[str, Any]], left_out: Sequence[BrokenPlugin] = ()) -> str:
     """Table of the slicers, why some are not available, and which plugins were left out."""
-    columns = [
-        *("name", "available", "exact", "device", "plane rule", "inside rule", "bound mm"),
-        "versions",
-        "summary",
-    ]
-    rows = [
-        [
-            r["name"], r["available"], r["exact"], r["device"], r["coplanar_rule"], r["inside_rule"],
-            "" if r["error_bound_mm"] is None else r["error_bound_mm"], " ".join(f"{k} {v}" for k, v in r["versions"].items()), r["summary"],
-        ]
-        for r in records
-    ]  # fmt: skip
-    missing = [
-        f"{r['name']}: {r['why']}" + (f"\n  {r['hint']}" if r["hint"] else "")
-        for r in records
-        if not r["available"]
-    ]
-    bound = "The bound is that of a cube of 100 mm under default settings."
-    unusable = [f"left out: {plugin}" for plugin in left_out]
-    return "\n\n".join([text_table(columns, rows), *missing, *unusable, bound])
-
-
-PAIR_FIGURES = ("max_depth_mm", "limit_mm", "max_hausdorff_mm", "min_iou")
+    plain = ("name", "available", "exact", "device", "coplanar_rule", "inside_rule")
+    columns = [*plain[:4], "plane rule", "inside rule", "bound mm", "versions", "summary"]
+    rows = []
+    for r in records:
+        bound = "" if r["error_bound_mm"] is None else r["error_bound_mm"]
+        versions = " ".join(f"{k} {v}" for k, v in r["versions"].items())
+        rows.append([*(r[name] for name in plain), bound, versions, r["summary"]])
+    missing = [r for r in records if not r["available"]]
+    told = [f"{r['name']}: {r['why']}" + (f"\n  {r['hint']}" if r["hint"] else "") for r in missing]
+    told += [f"left out: {plugin}" for plugin in left_out]
+    told.append("The bound is that of a cube of 100 mm under default settings.")
+    return "\n\n".join([text_table(columns, rows), *told])
 
 
 def run_summary(manifest: Mapping[str, Any]) -> str:
     """What a run came to: slicers, pairs, gates, findings and verdict."""
+    from ebamcheck.record.certificate import statement
 
     slicers = [
         [name, b["status"], b["rings"], b["open_paths"], b["points"], float(b["error_bound_mm"]),
          float(manifest["timings"]["backends"][name]["slice_s"]), b["why"] or b["device"]]
         for name, b in manifest["backends"].items()
     ]  # fmt: skip
+    figures = ("max_depth_mm", "limit_mm", "max_hausdorff_mm", "min_iou")
     pairs = [
-        [f"{p['a']} / {p['b']}", f"{p['agree']} of {p['gated']}", *(p[figure] for figure in PAIR_FIGURES)]
+        [f"{p['a']} / {p['b']}", f"{p['agree']} of {p['gated']}", *(p[figure] for figure in figures)]
         for p in manifest["comparison"]["pairs"]
     ]
-    passed = [["pass" if g["passed"] else "FAIL", g["name"], g["text"]] for g in manifest["gates"]]
-    found = [[f["severity"], f["code"], in_words(f)] for f in manifest.get("findings", [])]
-    blocks = [
-        worst_line(manifest),
-        text_table(["slicer", "status", "rings", "open", "points", "bound mm", "seconds", ""], slicers),
-        text_table(["pair", "layers agree", "depth mm", "limit mm", "Hausdorff mm", "least IoU"], pairs)
-        if pairs
-        else "",
-        text_table(["", "gate", ""], passed),
-        text_table(["", "finding", ""], found) if found else "",
-        _verdict(manifest),
-    ]
+    tables = (
+        (["slicer", "status", "rings", "open", "points", "bound mm", "seconds", ""], slicers),
+        (["pair", "layers agree", "depth mm", "limit mm", "Hausdorff mm", "least IoU"], pairs),
+        (
+            ["", "gate", ""],
+            [["pass" if g["passed"] else "FAIL", g["name"], g["text"]] for g in manifest["gates"]],
+        ),
+        (
+            ["", "finding", ""],
+            [[f["severity"], f["code"], in_words(f)] for f in manifest.get("findings", [])],
+        ),
+    )
+    good, bad = ("AGREED", "NOT AGREED") if manifest.get("job") == "check" else ("VALIDATED", "NOT VALIDATED")
+    word = good if manifest["exit_code"] == 0 else f"{bad} (exit code {manifest['exit_code']})"
+    verdict = "\n".join([word, *statement(manifest).lines()])
+    blocks = [worst_line(manifest), *(text_table(*table) for table in tables if table[1]), verdict]
     return "\n\n".join(block for block in blocks if block)
 
 
-def _verdict(manifest: Mapping[str, Any]) -> str:
-    """The last word on a job, of a program another than of a cross-check alone, and what it means."""
-    from ebamcheck.record.certificate import statement
-
-    good, bad = ("AGREED", "NOT AGREED") if manifest.get("job") == "check" else ("VALIDATED", "NOT VALIDATED")
-    word = good if manifest["exit_code"] == 0 else f"{bad} (exit code {manifest['exit_code']})"
-    return "\n".join([word, *statement(manifest).lines()])
-
-
 def worst_line(manifest: Mapping[str, Any]) -> str:
-    """The worst finding of a run that failed, with cause, size and place; empty for one that passed.
-
-    A part that is none goes first, then slicers that disagree, then faults, then the first gate that is shut.
-    """
+    """The worst finding of a run that failed: a part that is none, else slicers that disagree, else faults, else the first shut gate."""
     if not manifest["exit_code"]:
         return ""
     shut = {gate["name"]: gate for gate in manifest["gates"] if not gate["passed"]}
     disagreements = manifest["comparison"]["findings"]
     faults = [f for f in manifest.get("findings", []) if f["severity"] == "fault"]
     if "input" in shut:
-        said = shut["input"]["text"]
-    elif "agreement" in shut and disagreements:
-        said = _disagreement(max(disagreements, key=lambda f: (_excess(f), -f["layer"])))
-    elif faults and "agreement" not in shut:
-        said = in_words(faults[0])
-    elif shut:
-        gate = next(iter(shut.values()))
-        said = f"{gate['name']}: {gate['text']}"
-    else:
-        return ""
-    return f"WORST: {said}"
+        return f"WORST: {shut['input']['text']}"
+    if "agreement" in shut and disagreements:
+        return f"WORST: {_disagreement(max(disagreements, key=lambda f: (_excess(f), -f['layer'])))}"
+    if faults and "agreement" not in shut:
+        return f"WORST: {in_words(faults[0])}"
+    gate = next(iter(shut.values()), None)
+    return f"WORST: {gate['name']}: {gate['text']}" if gate else ""
 
 
 def _excess(finding: Mapping[str, Any]) -> float:
@@ -152,28 +117,28 @@ def _disagreement(f: Mapping[str, Any]) -> str:
 
 
 class LineObserver:
-    """Shows what is noted of a run, line by line on standard error."""
+    """Shows what is noted of a run, line by line on standard error; bars are for terminals."""
 
     def stage(self, name: str, total: int) -> None:
-        """Show nothing: a bar is for terminals."""
+        """Begin a stage."""
 
     def advance(self, steps: int) -> None:
-        """Show nothing."""
+        """Go on within it."""
 
     def note(self, text: str) -> None:
         """Print a line."""
         print(f"ebamcheck: {printable(text)}", file=sys.stderr)
 
 
-class TerminalObserver:
-    """Shows the stages of a run on a terminal."""
+class TerminalObserver(LineObserver):
+    """Shows the stages of a run as bars, and notes above them."""
 
     def __init__(self, bars: Progress) -> None:
         self._bars = bars
         self._task: TaskID | None = None
 
     def stage(self, name: str, total: int) -> None:
-        """Finish the bar of the last stage and begin one."""
+        """Fill the bar of the last stage and begin one."""
         self.finish()
         self._task = self._bars.add_task(name, total=max(total, 1))
 
@@ -184,44 +149,30 @@ class TerminalObserver:
 
     def note(self, text: str) -> None:
         """Print a line above the bars."""
-        self._bars.console.print(
-            f"ebamcheck: {printable(text)}", markup=False, highlight=False, soft_wrap=True
-        )
+        line = f"ebamcheck: {printable(text)}"
+        self._bars.console.print(line, markup=False, highlight=False, soft_wrap=True)
 
     def finish(self) -> None:
         """Fill the bar of the last stage."""
         if self._task is not None:
-            task = self._bars.tasks[self._task]
-            self._bars.update(self._task, completed=task.total)
+            self._bars.update(self._task, completed=self._bars.tasks[self._task].total)
 
 
 @contextmanager
-def watched() -> Iterator[LineObserver | TerminalObserver]:
+def watched() -> Iterator[LineObserver]:
     """Show progress while the block runs, which begins with all kernels compiled."""
     warm_kernels()
-    if not may_be_terminal():
+    # What shows bars takes a tenth of a second to load.
+    forced = any(os.environ.get(name) for name in ("FORCE_COLOR", "TTY_COMPATIBLE"))
+    if not (sys.stderr.isatty() or forced):
         yield LineObserver()
         return
     from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-    with _bars(Console(stderr=True)) as bars:
+    console, share = Console(stderr=True), TextColumn("{task.percentage:>3.0f} %")
+    columns = (TextColumn("{task.description:>20}"), BarColumn(), share, TimeElapsedColumn())
+    with Progress(*columns, console=console, disable=not console.is_terminal) as bars:
         observer = TerminalObserver(bars)
         yield observer
         observer.finish()
-
-
-def may_be_terminal() -> bool:
-    """Whether bars may be shown: what shows them takes a tenth of a second to load."""
-    return sys.stderr.isatty() or any(os.environ.get(name) for name in ("FORCE_COLOR", "TTY_COMPATIBLE"))
-
-
-def _bars(console: Console) -> Progress:
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-
-    columns = (
-        TextColumn("{task.description:>20}"),
-        BarColumn(),
-        TextColumn("{task.percentage:>3.0f} %"),
-        TimeElapsedColumn(),
-    )
-    return Progress(*columns, console=console, disable=not console.is_terminal)

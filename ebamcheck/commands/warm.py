@@ -1,7 +1,6 @@
-"""``ebamcheck warm``: compiles the kernels of the main job once, by doing that job on small parts.
+"""``ebamcheck warm``: compiles the kernels of the main job once, by doing that job on small parts in two processes that begin at its two ends.
 
-Two processes begin at its two ends, and each loads what the other has compiled. Commands that need most kernels begin with
-this; those that need few compile them as they are called. Numba keeps what is compiled (:mod:`ebamcheck.kernels`).
+Commands that need most kernels begin with this; those that need few compile them as they are called.
 """
 
 from __future__ import annotations
@@ -21,17 +20,14 @@ from ebamcheck.scratch import scratch_folder
 
 JOBS = "ebamcheck.commands.warm_jobs"
 
-# Folders of kernels that no command has asked for as long as this go: their sources have changed since
-_KEPT_S = 30.0 * 86400.0
-
 
 def warm_command() -> ExitCode:
     """Compile the kernels once, so that no later command has to wait for it."""
     start = time.perf_counter()
-    if warm_kernels():
-        typer.echo(f"kernels are compiled ({time.perf_counter() - start:.1f} s)")
-        return ExitCode.PASS
-    return ExitCode.OUT_OF_TOLERANCE
+    if not warm_kernels():
+        return ExitCode.OUT_OF_TOLERANCE
+    typer.echo(f"kernels are compiled ({time.perf_counter() - start:.1f} s)")
+    return ExitCode.PASS
 
 
 def tell_if_cold() -> None:
@@ -68,9 +64,8 @@ def _mark() -> Path | None:
     from ebamcheck.kernels import cache_folder
     from ebamcheck.plugins import registry
 
-    packages = {
-        registry.points(registry.BACKENDS)[name].module.partition(".")[0] for name in registry.house_slicers()
-    }
+    points = registry.points(registry.BACKENDS)
+    packages = {points[name].module.partition(".")[0] for name in registry.house_slicers()}
     folders = [cache_folder(package) for package in ("ebamcheck", *sorted(packages - {"ebamcheck"}))]
     if folders[0] is None:
         return None
@@ -95,16 +90,10 @@ def _compile(mark: Path) -> None:
         return
     mark.touch()
     _tell(f"kernels are compiled ({time.perf_counter() - start:.0f} s); they are kept for the next time")
-    _remove_old(mark.parent)
-
-
-def _remove_old(current: Path) -> None:
-    """Remove folders of kernels beside the current one that no command has asked for in a while."""
-    for folder in current.parent.glob("*-*"):
-        if (
-            folder != current
-            and time.time() - max(f.stat().st_mtime for f in (folder, *folder.glob("warm-*"))) > _KEPT_S
-        ):
+    # Folders of kernels that no command has asked for in a while go: their sources have changed since.
+    for folder in set(mark.parent.parent.glob("*-*")) - {mark.parent}:
+        asked_for_s = max(f.stat().st_mtime for f in (folder, *folder.glob("warm-*")))
+        if time.time() - asked_for_s > 30.0 * 86400.0:
             shutil.rmtree(folder, ignore_errors=True)
 
 

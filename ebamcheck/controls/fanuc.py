@@ -1,10 +1,7 @@
 """Fanuc-like controls: one file with a program number, arcs by I and J, look-ahead off, comments in parentheses.
 
-A number without a decimal point may be read in thousandths (parameter 3401; 1403 of a feed), so places, values of beam and wire,
-feeds and waits carry one, and a program in which one does not is refused. Beam and wire values are arguments of G codes that call
-custom macros (parameters 6050 to 6059); like all such codes they are the machine maker's. Each axis of a rapid goes at its own speed
-(non-linear positioning, parameter 1401, as a control is delivered), so that its way is a dog-leg. Source: Fanuc 30i operator's manual
-B-64484EN, preparatory functions, decimal point programming and custom macros.
+Places, values, feeds and waits carry a decimal point, without which they may be read in thousandths (parameters 3401, 1403). Beam and wire
+are G codes that call custom macros (6050 to 6059). Each axis of a rapid goes at its own speed (1401). Source: Fanuc 30i B-64484EN.
 """
 
 from __future__ import annotations
@@ -28,16 +25,14 @@ from ebamcheck.settings.machine import MachineSettings
 from ebamcheck.writing.layer_text import Post
 
 NAME = "fanuc"
+CURRENT, WIRE = "G102 A{current_ma:.4f} ; beam current, mA", "G103 A{wire_mm_s:.4f} ; wire speed, mm/s"
 TEMPLATES = {
     "beam_on": ("M60 ; beam on",),
     "beam_off": ("M61 ; beam off",),
-    "set_beam": (
-        "G101 A{voltage_kv:.4f} ; accelerating voltage, kV",
-        "G102 A{current_ma:.4f} ; beam current, mA",
-    ),
-    "set_power": ("G102 A{current_ma:.4f} ; beam current, mA",),
-    "wire_start": ("G103 A{wire_mm_s:.4f} ; wire speed, mm/s", "M62 ; wire on"),
-    "set_wire": ("G103 A{wire_mm_s:.4f} ; wire speed, mm/s",),
+    "set_beam": ("G101 A{voltage_kv:.4f} ; accelerating voltage, kV", CURRENT),
+    "set_power": (CURRENT,),
+    "wire_start": (WIRE, "M62 ; wire on"),
+    "set_wire": (WIRE,),
     "wire_stop": ("M63 ; wire off",),
     "wire_retract": ("G104 A{wire_retract_mm:.4f} ; wire drawn back, mm",),
     "layer_pause": ("G4 X{layer_pause_s:.3f} ; wait, s",),
@@ -55,32 +50,25 @@ GROUPS = (
     Group("exact stop", ("G9", "G61", "G62", "G63", "G64"), path=True),
     Group("look-ahead", ("G5.1", "G8"), path=True),
 )
-SCALES_OFF = "G50 G69"
-LOOK_AHEAD_OFF = "G5.1 Q0"
 # Takes back what G52, G92, and motions by hand have shifted the work offsets by (preset of the workpiece coordinate system).
 SHIFTS_OFF = "G92.1 X0.0 Y0.0 Z0.0"
 _PROGRAM_NUMBER = re.compile(r"O\d{4,8}")
-_FEED = re.compile(r" F(\d+)(?![\d.])")
-_SHIFTS_OFF = re.compile(r"G92\.1\s*X0(?:\.0*)?\s*Y0(?:\.0*)?\s*Z0(?:\.0*)?")
-_LOOK_AHEAD_OFF = re.compile(r"G0?5\.1\s*Q0(?:\.0*)?")
-_POINTED_CODE = re.compile(r"[GM]\s*\d*\.0*(?!\d)")
+# Blocks that take look-ahead and shifts back, and their codes.
+_OFF = {"G5.1": r"G0?5\.1\s*Q0(?:\.0*)?", "G92.1": r"G92\.1\s*X0(?:\.0*)?\s*Y0(?:\.0*)?\s*Z0(?:\.0*)?"}
 # An address that may have a decimal point, with a number that has none.
 _NO_POINT = re.compile(r"[XYZUVWABCIJKRF]\s*[+-]?\d+(?![\d.])")
 
 
 def words(machine: MachineSettings) -> tuple[str, ...]:
     """Words that hold at every motion."""
-    return (
-        "G17", "G21", "G90", "G94", "G40", "G49", "G80", "G50", "G69", machine.work_offset, "G92.1", "G64", "G5.1",
-    )  # fmt: skip
+    offsets_off = ("G40", "G49", "G80", "G50", "G69")
+    return "G17", "G21", "G90", "G94", *offsets_off, machine.work_offset, "G92.1", "G64", "G5.1"
 
 
 def form_lines(machine: MachineSettings) -> dict[str, str]:
     """Lines of the header on curves and smoothing."""
-    within = (
-        f"{'G1' if machine.curve_form == 'lines' else 'G2 and G3'}, within {machine.line_tolerance_mm:g} mm"
-    )
-    return {"CURVES": within, "SMOOTHING": "G64, look-ahead off, corners are the control's own"}
+    smoothing = "G64, look-ahead off, corners are the control's own"
+    return gcode.lines_of_curves(machine) | {"SMOOTHING": smoothing}
 
 
 CONTROL = Control(
@@ -112,28 +100,21 @@ def write_program(
     """
     machine = config.machine
     form: Literal["chords", "arcs"] = "chords" if machine.curve_form == "lines" else "arcs"
-    modes = [
-        "G17 G21 G90 G94", "G40 G49 G80", SCALES_OFF, machine.work_offset, SHIFTS_OFF, "G64", LOOK_AHEAD_OFF,
-    ]  # fmt: skip
+    modes = ["G17 G21 G90 G94", "G40 G49 G80", "G50 G69", machine.work_offset, SHIFTS_OFF, "G64", "G5.1 Q0"]
     lines = one_file(Post.of(curves, plan, config, CONTROL, form, None), modes, validated, header)
     own = _PROGRAM_NUMBER.fullmatch(machine.program_name)
     first = f"{machine.program_name if own else 'O0001'} ({machine.program_name})"
-    text = "\n".join(["%", first, *(_in_parentheses(line) for line in lines), "M30", "%"]) + "\n"
+    texts = ["%", first]
+    for code, mark, note in (line.partition(";") for line in lines):
+        # The feed gets its decimal point, and what stands behind a semicolon parentheses.
+        code = re.sub(r" F(\d+)(?![\d.])", r" F\1.0", code)
+        texts.append(f"{code}({CONTROL.comment_text(note.strip())})" if mark else code)
+    text = "\n".join([*texts, "M30", "%"]) + "\n"
     return write_files({f"{machine.program_name}.cnc": text}, Path(folder), validated=validated)
 
 
-def _in_parentheses(line: str) -> str:
-    """Turn what stands behind a semicolon into a comment in parentheses, and give the feed its decimal point."""
-    code, mark, note = line.partition(";")
-    code = _FEED.sub(r" F\1.0", code)
-    return f"{code}({CONTROL.comment_text(note.strip())})" if mark else code
-
-
-# -- reading -------------------------------------------------------------------------------------------
-
-DIALECT = replace(
-    PLAIN_GCODE, name=NAME, codes=(PLAIN_GCODE.codes | {"G50", "G69"}) - {"G91.1", "G92.1", "G61"}
-)
+_CODES = (PLAIN_GCODE.codes | {"G50", "G69"}) - {"G91.1", "G92.1", "G61"}
+DIALECT = replace(PLAIN_GCODE, name=NAME, codes=_CODES)
 
 
 def read_program(main: Path, config: Config, **unused: object) -> NCProgram:
@@ -156,8 +137,7 @@ class FanucReader(GcodeReader):
             what = "a semicolon ends a block on this control: comments stand in parentheses"
             raise WordError(what, text.index(";"))
         code = self.split(text)[0]
-        small = re.search("[a-z]", code)
-        if small:
+        if small := re.search("[a-z]", code):
             raise WordError(f"{small[0]!r}: this control takes capitals alone", small.start())
         # Anywhere else a number begins another program, and this one is what stands before it.
         number = None if self._in_blocks or self.out.started else _PROGRAM_NUMBER.match(text)
@@ -166,17 +146,12 @@ class FanucReader(GcodeReader):
 
     def own_block(self, code: str) -> bool:
         """Run the blocks that take look-ahead and shifts back; refuse a number without its decimal point, and a code with one."""
-        bare = next((m for m in _NO_POINT.finditer(code) if float(m[0][1:]) != 0.0), None)
-        if bare is not None:
+        for bare in (m for m in _NO_POINT.finditer(code) if float(m[0][1:]) != 0.0):
             what = f"{bare[0]} has no decimal point: the control may read it in thousandths (parameter 3401)"
             raise WordError(what, bare.start())
-        pointed = _POINTED_CODE.search(code)
-        if pointed is not None:
+        if pointed := re.search(r"[GM]\s*\d*\.0*(?!\d)", code):
             raise WordError(f"{pointed[0]}: a code has no decimal point here", pointed.start())
-        if _LOOK_AHEAD_OFF.fullmatch(code):
-            self.out.event("G5.1")
-        elif _SHIFTS_OFF.fullmatch(code):
-            self.out.event("G92.1")
-        else:
-            return False
-        return True
+        taken_back = [word for word, block in _OFF.items() if re.fullmatch(block, code)]
+        for word in taken_back:
+            self.out.event(word)
+        return bool(taken_back)

@@ -1,19 +1,15 @@
 """Post-processor for the heat simulator 3DThesis: the analytic heat of a moving Gaussian beam on a half space of constant material data.
 
-A case is one table of spots and lines, with power and speed, and the files around it. Each row is a mode, a position in mm, a power as
-a share of the beam's, and a parameter: mode 1 stays at the position for the parameter in seconds, mode 0 moves there from the last
-position at the parameter in m/s. Travel without beam is a spot of no power that lasts as long as the rapid move. The first line, where
-the status is, is skipped. Every layer heats a half space under itself, without the sides of the part: one layer at a time is what it
-is for. Keywords as its ``Init.cpp`` reads them: groups in braces, lengths in metres; paths and points in millimetres.
+A row of its table is a mode, a position in mm, a share of the power, and a parameter: mode 1 stays for so many seconds, mode 0 moves there
+at so many m/s. Keywords as its ``Init.cpp`` reads them: groups in braces, lengths in metres; paths and points in millimetres.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 
@@ -23,10 +19,11 @@ from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.nc.control import Control
 from ebamcheck.nc.control import control as control_named
 from ebamcheck.nc.files import NOT_VALIDATED, VALIDATED, ProgramFiles, write_files
-from ebamcheck.nc.inputs import CurveColumns, Interpass, ScanColumns, interpass_of
+from ebamcheck.nc.inputs import CurveColumns, ScanColumns, interpass_of
 from ebamcheck.settings.config import Config
 from ebamcheck.writing.bead_ends import driven_path
 from ebamcheck.writing.bead_parts import power_shares
+from ebamcheck.writing.events import track_waits_s
 
 SCRIPT = "run.sh"  # What runs a case
 STATUS = "@status@"  # Stands in the texts of a case where its status will be
@@ -61,13 +58,7 @@ class HeatPath:
         return np.asarray(np.cumsum(np.where(line, moved, self.rows[:, 5])), np.float64)
 
     def of_layer(self, layer: int | None) -> HeatPath:
-        """Path of one layer, which begins where its first bead does; the whole path for None.
-
-        Raises
-        ------
-        SettingsError
-            If the path has no such layer.
-        """
+        """Path of one layer, which begins where its first bead does, the whole one for None; SettingsError where it has no such layer."""
         if layer is None:
             return self
         if not (self.layer == layer).any():
@@ -78,30 +69,13 @@ class HeatPath:
         rows[0, 5] = LEAST_SPOT_S
         return HeatPath(rows, self.layer[mine], self.island[mine])
 
-    def without_power(self, rows: Bools) -> HeatPath:
-        """Return the same path with the beam off on some rows."""
-        changed = self.rows.copy()
-        changed[rows, 4] = 0.0
-        return replace(self, rows=changed)
 
-
-class CasePost(Protocol):
-    """A post of this module: it takes a layer, which programs for controls do not."""
-
-    def __call__(
-        self, curves: CurveColumns, plan: ScanColumns, config: Config, folder: str | Path, *, validated: bool = False,
-        header: Mapping[str, str] | None = None, layer: int | None = None,
-    ) -> ProgramFiles:  # fmt: skip
-        """Write a case."""
-        ...
-
-
-def case_post(control: str) -> CasePost:
-    """Post of a simulator; raises :class:`SettingsError` for a control, which no single layer can be written for."""
+def case_post(control: str) -> Callable[..., ProgramFiles]:
+    """Writer of a simulator, which takes a `layer`, too; raises :class:`SettingsError` for a control, which takes a whole program."""
     found = control_named(control)
     if found.is_read:
         raise SettingsError(f"--layer: {control} takes a whole program; one layer is for heat simulators")
-    post: CasePost = found.load("writer")
+    post: Callable[..., ProgramFiles] = found.load("writer")
     return post
 
 
@@ -156,38 +130,18 @@ def heat_path(curves: CurveColumns, plan: ScanColumns, config: Config) -> HeatPa
     rows[spot, 5] = np.maximum(away / config.machine.rapid_mm_s, LEAST_SPOT_S)
     heat = interpass_of(plan, config)
     layer = np.repeat(np.arange(len(path.z)), np.diff(path.layer_starts))[tracks]
-    rows[spot, 5] += _waits_s(layer, path.ring[tracks], path.island[tracks], heat)
+    island = path.island[tracks]
+    rows[spot, 5] += np.add(*track_waits_s(layer, path.ring[tracks], island, heat))
     rows[spot, 4], rows[line, 4] = 0.0, power_shares(path, heat, config)
-    return HeatPath(rows, np.repeat(layer, sizes + 1), np.repeat(path.island[tracks], sizes + 1))
+    return HeatPath(rows, np.repeat(layer, sizes + 1), np.repeat(island, sizes + 1))
 
-
-def _waits_s(layer: Ints, ring: Ints, island: Ints, heat: Interpass) -> Floats:
-    """Wait before each track (T,): before a layer that is not the first, a further contour, an island, or within it."""
-    new_layer = np.diff(layer, prepend=-1) != 0
-    new_island = (island >= 0) & (np.diff(island, prepend=-1) != 0)
-    waits = np.where(new_layer, heat.wait_s[layer], np.where(ring >= 0, heat.ring_wait_s[layer], 0.0))
-    waits[:1] = 0.0
-    inner = (island >= 0) & ~new_island
-    waits[new_island] += heat.island_wait_s[island[new_island]]
-    waits[inner] += heat.inner_wait_s[island[inner]]
-    return np.asarray(waits, np.float64)
-
-
-# -- the files around the path ---------------------------------------------------------------------------
 
 NAME = "ebamcheck"  # Name of the simulation, with which its result files begin
 # The file that names all others, and the one with the threads.
 INPUT, SETTINGS = "ParamInput.txt", "Settings.txt"
 MODE, DOMAIN, POINTS = "Mode.txt", "Domain.txt", "Points.txt"  # When, and where, temperatures are wanted
-ENDS = ("min", "max")
 # Shares of the time of the path, %, at which a case without places gives a picture of the surface.
 PICTURES = (25, 50, 75, 100)
-GRID_CELLS = 2.0  # Points of that picture across a bead
-THREADS = 4  # Threads: its own default is half of those of the machine, which is none on a machine of one
-# Mirrors of mirrors that count: with half as many, a plate of 150 x 80 mm misses 5 % of its heat after five minutes.
-REFLECTIONS = 4
-# Intensity of the beam over that of its middle where its heat counts as ended: at sqrt(6) standard deviations.
-EDGE = math.exp(-3.0)
 MARGIN = 4.0  # Metal beside the path, in bead widths
 Group = Mapping[str, object]
 
@@ -202,27 +156,22 @@ class Mirrors:
 
     def group(self) -> Group:
         """Keywords of the domain."""
-        planes = {
-            f"{a}_{e}": METRES * v
-            for a, b in (("X", self.x), ("Y", self.y))
-            for e, v in zip(ENDS, b, strict=True)
-        }
-        base = {} if self.z is None else {"Z_min": METRES * self.z}
-        return {**planes, **base, "Reflections": REFLECTIONS}
+        ends = {"X_min": self.x[0], "X_max": self.x[1], "Y_min": self.y[0], "Y_max": self.y[1]}
+        planes = {**ends, **({} if self.z is None else {"Z_min": self.z})}
+        # Mirrors of mirrors: with half as many, a plate of 150 x 80 mm misses 5 % of its heat after five minutes.
+        return {**{name: METRES * place for name, place in planes.items()}, "Reflections": 4}
 
 
 def thesis_files(rows: Floats, config: Config) -> dict[str, str]:
     """Return all files of a case but its path, by name; it gives pictures of the surface at :data:`PICTURES`."""
-    step_m = METRES * config.process.bead_width_mm / GRID_CELLS
+    step_m = METRES * config.process.bead_width_mm / 2.0
     places = rows[:, 1:4] if len(rows) else np.zeros((1, 3))
     margin = np.array([MARGIN, MARGIN, 0.0]) * config.process.bead_width_mm
     low, high = places.min(axis=0) - margin, places.max(axis=0) + margin
     # The box stands on its base plate, deep below the lowest layer.
     low[2] = low[2] - config.layer_height_mm - config.process.base_plate_mm
-    x, y, z = (
-        {"Min": METRES * least, "Max": METRES * most}
-        for least, most in zip(low.tolist(), high.tolist(), strict=True)
-    )
+    ends = zip(low.tolist(), high.tolist(), strict=True)
+    x, y, z = ({"Min": METRES * least, "Max": METRES * most} for least, most in ends)
     return {
         **physics(config),
         MODE: groups({"Snapshots": {"ScanFracs": ",".join(map(str, PICTURES)), "Tracking": "None"}}),
@@ -233,34 +182,26 @@ def thesis_files(rows: Floats, config: Config) -> dict[str, str]:
 def physics(config: Config) -> dict[str, str]:
     """Return the files that are the same whenever and wherever temperatures are wanted."""
     process, material = config.process, config.material
-    # Its standard deviation is that of the nonlinear model of `ebamcheck.heat.referee`.
-    width_m = METRES * (BEAM_SHARE * process.bead_width_mm * math.sqrt(-2.0 * math.log(EDGE)))
+    # Its standard deviation is that of our nonlinear model; its heat counts as ended at sqrt(6) of them.
+    width_m = METRES * (BEAM_SHARE * process.bead_width_mm * math.sqrt(6.0))
+    simulation = {"Name": NAME, **{n: f"{n}.txt" for n in ("Mode", "Material", "Beam", "Path")}}
+    options = {n: f"{n}.txt" for n in ("Domain", "Output", "Settings")}
+    constants = {
+        "T_0": process.ambient_temperature_k,
+        "T_L": material.liquidus_k,
+        "k": material.conductivity_w_mk,
+        "c": material.heat_capacity_j_kgk,
+        "p": material.density_kg_m3,
+    }
+    shape = {"Width_X": width_m, "Width_Y": width_m, "Depth_Z": METRES * config.layer_height_mm}
+    intensity = {"Power": process.power_w, "Efficiency": material.absorptivity}
     return {
-        INPUT: groups(
-            {
-                "Simulation": {"Name": NAME, **{n: f"{n}.txt" for n in ("Mode", "Material", "Beam", "Path")}},
-                "Options": {n: f"{n}.txt" for n in ("Domain", "Output", "Settings")},
-            }
-        ),
-        "Material.txt": groups(
-            {
-                "Constants": {
-                    "T_0": process.ambient_temperature_k,
-                    "T_L": material.liquidus_k,
-                    "k": material.conductivity_w_mk,
-                    "c": material.heat_capacity_j_kgk,
-                    "p": material.density_kg_m3,
-                }
-            }
-        ),
-        "Beam.txt": groups(
-            {
-                "Shape": {"Width_X": width_m, "Width_Y": width_m, "Depth_Z": METRES * config.layer_height_mm},
-                "Intensity": {"Power": process.power_w, "Efficiency": material.absorptivity},
-            }
-        ),
+        INPUT: groups({"Simulation": simulation, "Options": options}),
+        "Material.txt": groups({"Constants": constants}),
+        "Beam.txt": groups({"Shape": shape, "Intensity": intensity}),
         "Output.txt": groups({"Grid": {"x": 1, "y": 1, "z": 1}, "Temperature": {"T": 1, "T_hist": 0}}),
-        SETTINGS: _settings(THREADS),
+        # Its own default is half of the threads of the machine, which is none on a machine of one.
+        SETTINGS: groups({"Compute": {"MaxThreads": 4}}),
         "run.sh": '#!/bin/sh\n# @status@\ncd "$(dirname "$0")" && exec "${EBAMCHECK_3DTHESIS:-3DThesis}" ParamInput.txt\n',
     }
 
@@ -269,38 +210,24 @@ def readings(times_s: Sequence[float], places: Floats, mirrors: Mirrors | None =
     """Files that ask for the temperatures at places (P, 3), mm, at each of the times; of a half space without mirrors."""
     times = ",".join(f"{time:.9g}" for time in times_s)
     points = "".join(f"{x:.6f}\t{y:.6f}\t{z:.6f}\n" for x, y, z in places.tolist())
+    sides = {"BoundaryConditions": mirrors.group()} if mirrors else {}
     return {
         MODE: groups({"Snapshots": {"Times": times, "Tracking": "None"}}),
-        DOMAIN: groups(
-            {**({"BoundaryConditions": mirrors.group()} if mirrors else {}), "Custom": {"File": POINTS}}
-        ),
+        DOMAIN: groups(sides | {"Custom": {"File": POINTS}}),
         # Few places a time: threads would wait for each other.
-        SETTINGS: _settings(1),
+        SETTINGS: groups({"Compute": {"MaxThreads": 1}}),
         POINTS: f"X(mm)\tY(mm)\tZ(mm)\t@status@\n{points}",
     }
 
 
-def snapshot(number: int) -> str:
-    """Name of the file with the temperatures at a time, in the folder ``Data``: x, y, z in metres, and T in K."""
-    return f"{NAME}.Snapshot.{number:02d}.csv"
-
-
-def _settings(threads: int) -> str:
-    return groups({"Compute": {"MaxThreads": threads}})
-
-
 def groups(texts: Mapping[str, Group]) -> str:
     """Write groups of keywords; the status goes into the first line, which has no keyword."""
-    blocks = (
-        name + "\n{\n" + "".join(f"\t{key}\t{_word(value)}\n" for key, value in group.items()) + "}\n"
-        for name, group in texts.items()
-    )
-    return "# @status@\n" + "".join(blocks)
-
-
-def _word(value: object) -> str:
-    if isinstance(value, float):
-        if not math.isfinite(value):
-            raise ValueError(f"{value} is no number for a case")
-        return f"{value:.9g}"
-    return str(value)
+    text = "# @status@\n"
+    for name, group in texts.items():
+        text += f"{name}\n{{\n"
+        for key, value in group.items():
+            if isinstance(value, float) and not math.isfinite(value):
+                raise ValueError(f"{value} is no number for a case")
+            text += f"\t{key}\t{f'{value:.9g}' if isinstance(value, float) else value}\n"
+        text += "}\n"
+    return text

@@ -1,8 +1,4 @@
-"""What stands under the next layer: heat, metal and what was used up, as worked out, as measured, and with one layer more.
-
-The balance of the heat goes over all layers; what differs in the uppermost one is known by modes. A layer is planned and judged on it
-before it is released.
-"""
+"""What stands under the next layer: heat, metal and what was used up, as worked out, as measured, and with one layer more."""
 
 from __future__ import annotations
 
@@ -30,20 +26,17 @@ from ebamcheck.settings.config import Config
 from ebamcheck.writing.wire import metal_region
 
 LONGEST_S = 4.0 * 3600.0  # time after a layer up to which a temperature is taken
-LEAST_RISE_K = 20.0  # rise of the surface over the chamber under which a factor says nothing
 
 
 @dataclass(frozen=True, eq=False)
 class Before:
-    """What stands when a layer begins: heat of the part when its uppermost layer is done, and how that was driven; sums of the metal over the
-    layers that stand; their surface by the text of their programs; and what they took of spool and cathode. None: not known, of the surface: level.
-    """
+    """What stands when a layer begins; None where it is not known."""
 
-    part: PartHeat
-    last: SimulatedLayer | None = None
-    below: MetalBelow | None = None
-    surface: Surface | None = None
-    spent: Spent = FRESH
+    part: PartHeat  # when its uppermost layer is done
+    last: SimulatedLayer | None = None  # how that was driven
+    below: MetalBelow | None = None  # sums of the metal over the layers that stand
+    surface: Surface | None = None  # by the text of their programs; None: level
+    spent: Spent = FRESH  # what they took of spool and cathode
 
     @classmethod
     def cold(cls, config: Config) -> Before:
@@ -55,9 +48,8 @@ class Before:
         """Return the bare plate, with room for all layers of a part."""
         bead_mm = config.process.bead_width_mm
         room_mm = bead_mm + config.process.machining_allowance_mm
-        low, high = part.bounds[0, :2] - room_mm, part.bounds[1, :2] + room_mm
-        surface = Surface(np.concatenate([low, high]), bead_mm)
-        return replace(cls.cold(config), below=MetalBelow(), surface=surface)
+        box = np.concatenate([part.bounds[0, :2] - room_mm, part.bounds[1, :2] + room_mm])
+        return replace(cls.cold(config), below=MetalBelow(), surface=Surface(box, bead_mm))
 
     @property
     def laid(self) -> bool:
@@ -65,19 +57,9 @@ class Before:
         return self.part.column.absorbed_j > 0.0
 
     @property
-    def layer_s(self) -> float:
-        """Time of the uppermost layer, with moves and waits within it."""
-        return 0.0 if self.last is None else self.last.time_s
-
-    @property
     def surface_k(self) -> float:
         """Mean temperature of the surface, absolute."""
         return float(self.part.column.surface_k)
-
-    @property
-    def mapped_surface(self) -> bool:
-        """Whether the surface was measured place by place."""
-        return self.surface is not None and self.surface.mapped
 
     def rested(self, duration_s: float) -> Before:
         """Return the same after a time with the beam off."""
@@ -110,9 +92,8 @@ def metal_checks(
 ) -> tuple[list[Check], Before]:
     """Checks of a layer's metal on what stands, and what stands with it; its heat is that before it.
 
-    Sums and means count from the plate up, by the limits of a whole part; the layer, and the surface that all layers so far
-    come to, by those of a single one. The layer has to pass by its text alone, too, as anybody can judge it: on a level surface,
-    of which nothing is known. Spool and cathode have to last for it with what the layers below took of them.
+    Sums count from the plate up, by the limits of a whole part, the layer and the surface by those of a single one. It has to pass by its
+    text alone, too, on a level surface; and spool and cathode have to last for it with what the layers below took of them.
     """
     z_of = deposition_heights(witness.heights, config.layer_height_mm, config.base_mm)
     below = before.below or MetalBelow()
@@ -132,9 +113,6 @@ def metal_checks(
     return checks, replace(before, below=below, surface=found.surface, spent=spent_after(used))
 
 
-# -- as measured -------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class Correction:
     """What a pyrometer says of the model: temperature of the surface then, before it was corrected, and factor of its rise."""
@@ -152,10 +130,8 @@ class Correction:
 
     def told(self) -> dict[str, Any]:
         """Return the figures and the reason, for answer, journal and certificate."""
-        return {
-            "measured_k": self.measured.surface_k, "after_s": self.measured.after_s, "modelled_k": round(self.modelled_k, 3),
-            "factor": round(self.factor, 6), "why": self.why,
-        }  # fmt: skip
+        said = {"measured_k": self.measured.surface_k, "after_s": self.measured.after_s, "why": self.why}
+        return {**said, "modelled_k": round(self.modelled_k, 3), "factor": round(self.factor, 6)}
 
 
 def check_warmth(before: Before, found: Warmth, config: Config) -> None:
@@ -166,16 +142,12 @@ def check_warmth(before: Before, found: Warmth, config: Config) -> None:
     elif not 0.0 <= found.after_s <= LONGEST_S:
         why = f"after_s {found.after_s:g} is not from 0 to {LONGEST_S:g} s"
     elif not chamber_k <= found.surface_k <= config.material.solidus_k:
-        why = (
-            f"surface_k {found.surface_k:g} is not between the chamber's {chamber_k:g} K and the solidus, "
-            f"{config.material.solidus_k:g} K: give kelvins"
-        )
+        bounds = f"the chamber's {chamber_k:g} K and the solidus, {config.material.solidus_k:g} K"
+        why = f"surface_k {found.surface_k:g} is not between {bounds}: give kelvins"
     elif (off_k := abs(found.surface_k - (modelled_k := before.rested(found.after_s).surface_k))) > limit_k:
-        why = (
-            f"surface_k {found.surface_k:g} is {off_k:.0f} K off the model, {modelled_k:.0f} K then: over "
-            f"process.pyrometer_limit_k, {limit_k:g} K"
-        )
-    elif modelled_k - chamber_k < LEAST_RISE_K:
+        over = f"over process.pyrometer_limit_k, {limit_k:g} K"
+        why = f"surface_k {found.surface_k:g} is {off_k:.0f} K off the model, {modelled_k:.0f} K then: {over}"
+    elif modelled_k - chamber_k < 20.0:
         why = f"surface_k: the part is as cold as the chamber ({modelled_k:.0f} K), of which a factor says nothing"
     else:
         return
@@ -185,8 +157,8 @@ def check_warmth(before: Before, found: Warmth, config: Config) -> None:
 def corrected(before: Before, found: Warmth, config: Config) -> tuple[Before, Correction]:
     """Return what stands at the moment of a reading, as warm as was measured, and what was done to it.
 
-    What is least known of the model is how much of the beam's power the part takes up, in which its rise over the chamber is linear as
-    long as conduction carries the heat: so the whole rise is multiplied by that of the surface as measured over that as worked out.
+    How much of the beam's power the part takes up is least known, and its rise over the chamber is linear in it as long as conduction
+    carries the heat: so the whole rise is multiplied by that of the surface as measured over that as worked out.
     """
     then = before.rested(found.after_s)
     modelled_k, chamber_k = then.surface_k, config.process.ambient_temperature_k
@@ -204,9 +176,9 @@ def corrected(before: Before, found: Warmth, config: Config) -> tuple[Before, Co
 class Ground:
     """What a layer is laid on, joined with a reading: what a map and a pyrometer say of it; None without them."""
 
+    reading: Reading
     before: Before
     figures: MapFigures | None
-    map_sha256: str
     correction: Correction | None
 
     @classmethod
@@ -217,7 +189,7 @@ class Ground:
             figures = figures_of(reading.cells, before.surface, config)
         if reading.warmth is not None:
             before, correction = corrected(before, reading.warmth, config)
-        return cls(before, figures, reading.map_sha256, correction)
+        return cls(reading, before, figures, correction)
 
     @property
     def since_s(self) -> float:
@@ -237,7 +209,7 @@ class Ground:
         """What was measured beside the height, for answer and certificate."""
         found: dict[str, Any] = {}
         if self.figures is not None:
-            found["height_map"] = {**self.figures.told(), "sha256": self.map_sha256, "mended": mended}
+            found["height_map"] = {**self.figures.told(), "sha256": self.reading.map_sha256, "mended": mended}
         if self.correction is not None:
             found["temperature"] = self.correction.told()
         return found

@@ -1,8 +1,6 @@
 """The state of a build between its layers, and its door of JSON lines: a reading comes in, is judged, the next layer is made and published.
 
-Whatever comes in, the answer is one dictionary and the state is sound: what was published last stays until something that
-passed every gate takes its place. Readings decide, and nothing else does: neither the clock nor chance, so that the journal
-alone is enough to make every byte again.
+Readings alone decide, neither the clock nor chance, so that the journal is enough to make every byte again.
 """
 
 from __future__ import annotations
@@ -16,36 +14,25 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import IO, Any
 
 from ebamcheck.errors import EbamcheckError, InputError, SettingsError
 from ebamcheck.json_values import plain, sha256_of_json
-from ebamcheck.live import publishing
+from ebamcheck.live import height_map, publishing
 from ebamcheck.live.before import Before, Ground, check_warmth
-from ebamcheck.live.height_map import (
-    LONGEST_LINE,
-    Reading,
-    Refused,
-    check_height,
-    map_reading,
-    parsed,
-    reading_of,
-    warmth_of,
-)
+from ebamcheck.live.height_map import Reading, Refused
 from ebamcheck.live.heights import HeightRule, height_rule
 from ebamcheck.live.heights_table import HeightsTable, laid_height
 from ebamcheck.live.making import LayerMaker, MadeLayer, Wanted, failure_of
 from ebamcheck.live.verifying import FollowedLayers
 
+# What is tried until every gate is open: heights over the planned one, each of which leaves a plane through vertices, on which methods
+# may differ; and islands and hatch as on a later layer, since another layout may leave less metal uneven
 TRIES = ((1.0, 0), (0.97, 0), (1.03, 0), (1.0, 3), (1.0, 6))
-"""What is tried one after the other until every gate is open: heights of the layer over the planned one, since a plane
-through vertices of the mesh, on which methods may differ, is left by each of them; and islands and hatch that lie as on a
-later layer, since where beads of one layout leave metal uneven, those of another may not."""
-
 MAKING = ".making."  # begin of the names of folders in which layers are made
 NOT_STARTED = "nothing is published yet: send `start` first"
-
 Answer = dict[str, Any]
 
 
@@ -62,8 +49,7 @@ class Standing:
 class Building:
     """A build in a folder, where layers, journal and ``current.json`` lie; heights are uniform ones where no rule is given.
 
-    A journal that is there is gone on with: its layers are made again, which proves that they still come out the same. One of another
-    part or other settings is refused, and one to which another server writes. What a door notes there changes no decision.
+    A journal that is there is gone on with: its layers are made again, which proves that they still come out the same.
     """
 
     def __init__(self, maker: LayerMaker, folder: Path, rule: HeightRule | None = None) -> None:
@@ -74,8 +60,7 @@ class Building:
         self._followed = FollowedLayers()
         self.heights = HeightsTable(folder)
         self._planned_tops_mm = self.rule.plan(0.0).tops_mm
-        self.told: Answer = {}
-        """The last answer that became the state."""
+        self.told: Answer = {}  # the last answer that became the state
         self._standing: Standing | None = None
         self._last: Reading | None = None
         self._tried: tuple[Reading, Answer | None] | None = None
@@ -104,8 +89,6 @@ class Building:
         """Number of layers that are done when the next reading comes; 0 before anything is published."""
         return 0 if self._standing is None else self._standing.done + 1
 
-    # -- what comes in ------------------------------------------------------------------------------
-
     def start(self) -> Answer:
         """Publish the lowest layer on the plate; on a build that is under way, tell again what is published."""
         if self.told:
@@ -115,7 +98,14 @@ class Building:
     def height(self, message: dict[str, Any]) -> Answer:
         """Take a measured height, and publish the layer on it; the journal knows of one that is refused."""
         try:
-            reading = self._read(message)
+            if self._standing is None and "height_map" in message:
+                raise Refused("not-started", NOT_STARTED)
+            warmth = height_map.warmth_of(message)
+            if "height_map" in message:
+                reading = height_map.map_reading(message, self.before.surface, self.maker.config, self._last)
+            else:
+                reading = height_map.reading_of(message)
+            reading = replace(reading, warmth=warmth)
             if reading == self._last:
                 return {**self.told, "again": True}
             self._judge(reading, message)
@@ -123,16 +113,6 @@ class Building:
             self.journal.append({"kind": "refused", **refused.answer})
             return refused.answer
         return self._decide(reading)
-
-    def _read(self, message: dict[str, Any]) -> Reading:
-        if self._standing is None and "height_map" in message:
-            raise Refused("not-started", NOT_STARTED)
-        warmth = warmth_of(message)
-        if "height_map" in message:
-            reading = map_reading(message, self.before.surface, self.maker.config, self._last)
-        else:
-            reading = reading_of(message)
-        return replace(reading, warmth=warmth)
 
     def _judge(self, reading: Reading, message: dict[str, Any]) -> None:
         """Refuse a reading that is not the next one, or cannot be."""
@@ -150,7 +130,7 @@ class Building:
         if "height_map" not in message and reading.height_mm != message.get("height_mm"):
             said = f"{message.get('height_mm')!r:.20} mm is taken for {reading.height_mm:g} mm"
             raise Refused("not-as-said", said)
-        check_height(reading, standing.base_mm, standing.top_mm)
+        height_map.check_height(reading, standing.base_mm, standing.top_mm)
         if reading.warmth is not None:
             check_warmth(self.before, reading.warmth, self.maker.config)
 
@@ -163,8 +143,6 @@ class Building:
             "finished": self.finished,
             "top_mm": self.rule.slopes.top_mm,
         }
-
-    # -- decisions ----------------------------------------------------------------------------------
 
     def _decide(self, reading: Reading) -> Answer:
         """Write a reading down, plan on it, and publish the next layer or say why not."""
@@ -181,9 +159,8 @@ class Building:
             entry = {"kind": "layer", **{key: certificate[key] for key in ("name", "files", "wait_s")}}
             if "temperature" in answer:
                 entry["why_wait"] = f"{certificate['wait_s']:g} s: {answer['temperature']['why']}"
-            current = publishing.publish(
-                self.folder, layer, certificate, before=lambda: self.journal.append(entry)
-            )
+            journaled = partial(self.journal.append, entry)
+            current = publishing.publish(self.folder, layer, certificate, before=journaled)
         except (EbamcheckError, OSError) as error:
             return self._noted(reading, _kept(reading, failure_of(error)))
         finally:
@@ -202,10 +179,8 @@ class Building:
     def _take(self, reading: Reading, answer: Answer, layer: MadeLayer | None) -> None:
         below = self._standing
         if below is not None:
-            tops_mm, top_mm = self._planned_tops_mm, below.top_mm
-            self.heights.add(
-                laid_height(below.done, tops_mm, below.base_mm, top_mm, reading.height_mm, below.cusp_mm)
-            )
+            planned = below.done, self._planned_tops_mm, below.base_mm, below.top_mm
+            self.heights.add(laid_height(*planned, reading.height_mm, below.cusp_mm))
         self._last, self.told = reading, answer
         if layer is None:
             self.finished = True
@@ -220,24 +195,20 @@ class Building:
         base_mm = reading.height_mm
         plan = self.rule.plan(base_mm)
         top_mm = self.rule.slopes.top_mm
+        early = publishing.ended_early(self.maker.height_mm, base_mm, self.maker.config)
         if not len(plan):
-            if early := publishing.ended_early(self.maker.height_mm, base_mm, self.maker.config):
-                return _kept(reading, early), None
-            return _done(reading, top_mm, *plan.said), None
+            return (_kept(reading, early) if early else _done(reading, top_mm, *plan.said)), None
         limits, why, broken = self.rule.outer, "", False
-        program = self.maker.config.machine.program_name
         self.folder.mkdir(parents=True, exist_ok=True)
         ground = Ground.of(reading, self.before, self.maker.config)
         *first, last = ground.mending
         tries = [(1.0, 0, share) for share in first] + [(*how, last) for how in TRIES]
         for number, (factor, shifted, mended) in enumerate(tries, 1):
             thickness_mm = float(plan.thickness_mm[0]) * factor
-            inside = (
-                limits.least_mm <= thickness_mm <= limits.most_mm and base_mm + thickness_mm <= top_mm + 1e-9
-            )
-            if factor != 1.0 and not inside:
+            fits = limits.least_mm <= thickness_mm <= limits.most_mm
+            if factor != 1.0 and not (fits and base_mm + thickness_mm <= top_mm + 1e-9):
                 continue
-            name = publishing.layer_name(program, reading.done, number)
+            name = publishing.layer_name(self.maker.config.machine.program_name, reading.done, number)
             wanted = Wanted(reading.done, base_mm, thickness_mm, name, shifted)
             staged = Path(tempfile.mkdtemp(prefix=MAKING, dir=self.folder))
             try:
@@ -258,17 +229,11 @@ class Building:
             except Exception as error:  # whatever a stage meets, the server stays
                 why, broken = why or failure_of(error), True
             shutil.rmtree(staged, ignore_errors=True)
-        if (
-            reading.done
-            and not broken
-            and not publishing.ended_early(self.maker.height_mm, base_mm, self.maker.config)
-        ):
+        if reading.done and not broken and not early:
             # What is left is less than the least layer: no other reading can come that would lead on.
             return _done(reading, top_mm, f"no layer fills the last {top_mm - base_mm:.3f} mm ({why}): leave them to "
                          "the machining allowance, or weld them up by hand"), None  # fmt: skip
         return _kept(reading, why), None
-
-    # -- going on -----------------------------------------------------------------------------------
 
     def _of(self) -> dict[str, Any]:
         return {
@@ -286,14 +251,14 @@ class Building:
         first = next(entries, None)
         if first is None:
             return
-        publishing.check_format(first, self.folder / publishing.JOURNAL)
-        mine = {"kind": "begin", **self._of()}
-        for key, value in mine.items():
+        journal = self.journal.path
+        if first.get("format") != publishing.JOURNAL_FORMAT:
+            what = "which counted layers from 0: end that build with it, or give another folder with -o"
+            raise InputError(f"{journal}: is of an earlier version of ebamcheck, {what}")
+        for key, value in {"kind": "begin", **self._of()}.items():
             if first.get(key) != value:
-                raise InputError(
-                    f"{self.folder / publishing.JOURNAL}: is of another build: its {key} is {first.get(key)!r:.20}, not {value!r:.20}: "
-                    "give another folder with -o"
-                )
+                other = f"its {key} is {first.get(key)!r:.20}, not {value!r:.20}"
+                raise InputError(f"{journal}: is of another build: {other}: give another folder with -o")
         waiting: Reading | None = None
         for entry in entries:
             kind = entry.get("kind")
@@ -305,11 +270,10 @@ class Building:
 
     def _again(self, reading: Reading, entry: dict[str, Any]) -> None:
         answer, made = self._made(reading)
+        layer_of_it = f"{self.journal.path}: layer {reading.done + 1}"
         if made is None:
             if answer["answer"] != entry["kind"]:
-                raise InputError(
-                    f"{self.folder / publishing.JOURNAL}: layer {reading.done + 1} does not come out again: {answer.get('reason')}"
-                )
+                raise InputError(f"{layer_of_it} does not come out again: {answer.get('reason')}")
             self._take(reading, answer, None)
             return
         staged, layer, certificate = made
@@ -318,10 +282,8 @@ class Building:
             told = {"wait_s": certificate["wait_s"], **entry}
             for key, what in (("files", "other bytes"), ("wait_s", "another wait")):
                 if certificate[key] != told.get(key):
-                    raise InputError(
-                        f"{self.folder / publishing.JOURNAL}: layer {reading.done + 1} comes out as {what} than was published: "
-                        "the software or a slicer is another one"
-                    )
+                    why = "than was published: the software or a slicer is another one"
+                    raise InputError(f"{layer_of_it} comes out as {what} {why}")
             # Between the journal's line and the current file a kill may have come; the layer itself is there.
             current = publishing.publish(self.folder, layer, certificate)
         finally:
@@ -344,15 +306,11 @@ def _refuse_relayered(folder: Path) -> None:
     layers = folder / publishing.LAYERS
     if (folder / publishing.JOURNAL).is_file() or not layers.is_dir():
         return
-    found = sorted(path.name for path in layers.iterdir())
-    if found:
-        raise SettingsError(
-            f"{layers}: holds {found[0]}{f' and {len(found) - 1} more' if len(found) > 1 else ''}, which `ebamcheck relayer` made "
-            "and a build would name again: give the build another folder with -o, or move them away"
-        )
-
-
-# -- the door of JSON lines ------------------------------------------------------------------------
+    if found := sorted(path.name for path in layers.iterdir()):
+        more = f" and {len(found) - 1} more" if len(found) > 1 else ""
+        what = "which `ebamcheck relayer` made and a build would name again"
+        how = "give the build another folder with -o, or move them away"
+        raise SettingsError(f"{layers}: holds {found[0]}{more}, {what}: {how}")
 
 
 class Lines:
@@ -376,7 +334,7 @@ class Lines:
                 return None
             found = os.read(self._descriptor, 65536)
             self._ended = not found
-            if b"\n" not in found and len(self._held) > LONGEST_LINE:
+            if b"\n" not in found and len(self._held) > height_map.LONGEST_LINE:
                 continue  # the rest of a line that is too long already
             self._held += found
         line, self._held = self._held.split(b"\n", 1)
@@ -384,21 +342,17 @@ class Lines:
 
 
 def serve(building: Building, lines: Lines, out: IO[str], timeout_s: float) -> None:
-    """Answer lines until the input ends, somebody says ``stop``, or nobody reads the answers.
-
-    After a time without a line the server says that it waits, once until the next line.
-    """
+    """Answer lines until the input ends, or somebody says ``stop``; after a time without one, say so once until the next."""
     said_late, between = False, BetweenLayers(building)
     while True:
         try:
             line = lines.next(None if said_late else timeout_s)
         except EOFError:
             return
+        said_late = line is None
         if line is None:
-            said_late = True
             answer: Answer = {**building.status(), "answer": "late", "waited_s": timeout_s}
         else:
-            said_late = False
             answer = answer_to(building, line)
         out.write(json.dumps(plain(answer), sort_keys=True, allow_nan=False) + "\n")
         out.flush()
@@ -410,7 +364,7 @@ def serve(building: Building, lines: Lines, out: IO[str], timeout_s: float) -> N
 def answer_to(building: Building, line: bytes) -> Answer:
     """Answer one line; nothing that comes in ends the server."""
     try:
-        message = parsed(line)
+        message = height_map.parsed(line)
         known: dict[str, Callable[[], Answer]] = {
             "start": building.start,
             "height": lambda: building.height(message),
@@ -428,16 +382,11 @@ def answer_to(building: Building, line: bytes) -> Answer:
         return {"answer": "error", "reason": failure_of(error)}
 
 
-SETTLED = 3  # layers after which all that stays is loaded: kernels and modules come with the first
-
-WORK = ("published", "released", "kept", "done", "built")  # answers after which a layer's work is done
-
-
 class BetweenLayers:
     """What is done after each answer of a build, when nobody waits: tables are written and memory is given back.
 
-    A server holds half a million objects that stay. Python looks for cycles among all of them at once, for a quarter of a second, in the
-    middle of a layer: so what stays is set aside once it is loaded, and what a layer leaves is collected after it.
+    Python looks for cycles among half a million objects that stay, for a quarter of a second, in the middle of a layer: so what stays is
+    set aside once it is loaded, and what a layer leaves is collected after it.
     """
 
     def __init__(self, building: Building) -> None:
@@ -446,9 +395,9 @@ class BetweenLayers:
     def __call__(self, answer: Mapping[str, Any]) -> None:
         """Do it; the answer was sent already."""
         self._building.heights.write(ended=self._building.finished)
-        if answer.get("answer") not in WORK:
+        if answer.get("answer") not in ("published", "released", "kept", "done", "built"):
             return
         gc.collect()
         self._layers += 1
-        if self._layers <= SETTLED:
+        if self._layers <= 3:  # then kernels and modules are loaded
             gc.freeze()

@@ -1,9 +1,6 @@
-"""What is measured under the next layer: heights, temperatures and surfaces as they come in, what is wrong with those that are not used, and
-a surface from its file to the cells of the part's metal.
+"""What is measured under the next layer, from file or line to the cells of the part's metal, and what is wrong with it; nothing is guessed.
 
-Nothing is converted, clipped or guessed. Cells along the border hold the flank of a bead, which is low whatever lies there: they do not count,
-and get the height of the nearest cell within. Heights are kept to a micrometre, as the journal holds them, so that a replay plans on the same
-numbers.
+Cells along the border hold the low flank of a bead, and get the height of the nearest cell within. Heights are kept to a micrometre.
 """
 
 from __future__ import annotations
@@ -15,6 +12,7 @@ import json
 import math
 import zlib
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +22,7 @@ from scipy import ndimage
 
 from ebamcheck.atomic_file import regular_file
 from ebamcheck.errors import InputError
-from ebamcheck.kernels import Bools, Floats
+from ebamcheck.kernels import Floats
 from ebamcheck.metal import Surface
 from ebamcheck.metal.surface import HALF, SPOT_BEADS
 from ebamcheck.settings.checking import checked, read_toml
@@ -32,19 +30,12 @@ from ebamcheck.settings.config import Config
 from ebamcheck.settings.stages import HeightMapSettings
 
 RIM_BEADS = 0.5  # width of the border, over the bead width, on which the flank of a bead lies
-UNEVEN_SHARE = 0.5  # share of the usual height of a layer that a hump may have where no limit is set: the tip of the wire passes over it
-
+# Shares of a measured unevenness that a layer is tried to mend, one after the other: it gets at most a fifth thicker or thinner for it
 MENDING = (1.0, 0.6, 0.3)
-"""Shares of a measured unevenness that a layer is tried to mend, one after the other, until every gate is open: the most that
-can be proved. A layer gets at most a fifth thicker or thinner for it (``MOST_MENDED``)."""
-
 KEPT_MM, MOST_KEPT_MM = 1e-3, 1e5  # step in which heights are kept, and the greatest that is
 HOLE = np.iinfo(np.int32).min  # in place of a height that is not known
-FRAME = ".frame.toml"  # what is put behind the name of a map for the file of its frame
 MOST_POINTS, MOST_BYTES = 50_000_000, 1_000_000_000  # points of a map, 400 MB, and bytes of a file at most
-
 COLUMNS = ("x_mm", "y_mm", "height_mm")
-SUFFIXES = (".csv", ".npy", ".tif", ".tiff")
 
 
 class Refused(InputError):
@@ -60,9 +51,6 @@ class Refused(InputError):
         return {"answer": "refused", "code": self.code, "reason": str(self)}
 
 
-# -- files -------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True, eq=False)
 class HeightMap:
     """Measured places (n,) in the coordinates of the program, without holes; heights over the base plate; distance of neighbours."""
@@ -75,26 +63,21 @@ class HeightMap:
 
 def read_map(path: Path, settings: HeightMapSettings) -> HeightMap:
     """Read a map: CSV with places, or an NPY or TIFF grid in the frame of the settings or of a file beside it."""
-    if path.suffix.lower() not in SUFFIXES:
-        raise InputError(f"{path}: height maps are {', '.join(SUFFIXES)}")
+    suffix, beside = path.suffix.lower(), path.with_name(f"{path.name}.frame.toml")
+    if suffix not in (known := (".csv", ".npy", ".tif", ".tiff")):
+        raise InputError(f"{path}: height maps are {', '.join(known)}")
     try:
         if regular_file(path).stat().st_size > MOST_BYTES:
             raise InputError(f"{path}: is larger than {MOST_BYTES / 1e6:g} MB")
-        frame = _frame(path, settings)
-        if path.suffix.lower() == ".csv":
-            return _from_csv(path, frame)
-        grid = _from_npy(path) if path.suffix.lower() == ".npy" else _from_tiff(path)
+        if beside.is_file():
+            values = settings.model_dump() | read_toml(beside, InputError)
+            settings = checked(HeightMapSettings, values, beside, error=InputError)
+        if suffix == ".csv":
+            return _from_csv(path, settings)
+        grid = _from_npy(path) if suffix == ".npy" else _from_tiff(path)
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
-    return placed(grid, frame, str(path))
-
-
-def _frame(path: Path, settings: HeightMapSettings) -> HeightMapSettings:
-    beside = path.with_name(path.name + FRAME)
-    if not beside.is_file():
-        return settings
-    values = settings.model_dump() | read_toml(beside, InputError)
-    return checked(HeightMapSettings, values, beside, error=InputError)
+    return placed(grid, settings, str(path))
 
 
 def _from_csv(path: Path, frame: HeightMapSettings) -> HeightMap:
@@ -107,10 +90,8 @@ def _from_csv(path: Path, frame: HeightMapSettings) -> HeightMap:
         table.columns = [str(name).strip() for name in table.columns]
         x, y, value = (table[name].to_numpy(np.float64) for name in COLUMNS)
     except (ValueError, UnicodeDecodeError) as error:
-        said = " ".join(str(error).split())[:120]
-        raise InputError(
-            f"{path}: is neither {','.join(COLUMNS)} with numbers below nor a grid of numbers: {said}"
-        ) from None
+        said = f"is neither {','.join(COLUMNS)} with numbers below nor a grid of numbers"
+        raise InputError(f"{path}: {said}: {' '.join(str(error).split())[:120]}") from None
     if not (np.isfinite(x).all() and np.isfinite(y).all()):
         row = int(np.argmin(np.isfinite(x) & np.isfinite(y)))
         raise InputError(f"{path}:{row + 2}: a place is no number; a hole is a row without a height")
@@ -137,9 +118,8 @@ def _from_tiff(path: Path) -> Floats:
             if image.width * image.height > MOST_POINTS:
                 raise InputError(f"{path}: has more than {MOST_POINTS} points")
             if image.mode not in ("F", "I", "I;16", "I;16B", "I;16L", "L"):
-                raise InputError(
-                    f"{path}: has the mode {image.mode!r}: give one channel of whole or floating numbers"
-                )
+                said = "give one channel of whole or floating numbers"
+                raise InputError(f"{path}: has the mode {image.mode!r}: {said}")
             return np.asarray(image).astype(np.float64)
     except (UnidentifiedImageError, Image.DecompressionBombError, SyntaxError, ValueError) as error:
         raise InputError(f"{path}: is no TIFF: {' '.join(str(error).split())[:120]}") from None
@@ -180,16 +160,14 @@ def _known(
     return HeightMap(x[known], y[known], np.asarray(height, np.float64), step_mm)
 
 
-# -- cells -------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True, eq=False)
 class MapCells:
-    """A map in the cells of a part's metal: column and row of the first cell from the part's origin, and (rows, columns) heights in
-    micrometres, :data:`HOLE` where none is known."""
+    """A map in the cells of a part's metal."""
 
-    corner: tuple[int, int]
-    kept: np.ndarray[Any, np.dtype[np.int32]]
+    corner: tuple[int, int]  # column and row of the first cell from the part's origin
+    kept: np.ndarray[
+        Any, np.dtype[np.int32]
+    ]  # (rows, columns) heights in micrometres, HOLE where none is known
 
     @property
     def height_mm(self) -> Floats:
@@ -205,12 +183,8 @@ class MapCells:
     def entry(self) -> dict[str, Any]:
         """Return what the journal keeps of it."""
         packed = base64.b64encode(zlib.compress(self.kept.astype("<i4").tobytes(), 9)).decode("ascii")
-        return {
-            "corner": list(self.corner),
-            "shape": list(self.kept.shape),
-            "um": packed,
-            "sha256": self.sha256,
-        }
+        place = {"corner": list(self.corner), "shape": list(self.kept.shape)}
+        return {**place, "um": packed, "sha256": self.sha256}
 
     @classmethod
     def of_entry(cls, entry: dict[str, Any]) -> MapCells:
@@ -228,19 +202,16 @@ class MapCells:
 
 
 def in_cells(found: HeightMap, surface: Surface) -> MapCells:
-    """Lay a map into the cells of a surface: the mean of the places in a cell; between coarser places, by their distance.
-
-    Cells further than a step of the map from any known place stay holes.
-    """
+    """Lay a map into cells: the mean of the places in one; between coarser places, by their distance; beyond a step of the map, holes."""
     rows, columns = surface.share.shape
     at = np.stack([found.x_mm, found.y_mm]) / surface.step_mm - np.array(surface.corner)[:, None]
     column, row = np.floor(at).astype(np.int64)
     inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
     cell = row[inside] * columns + column[inside]
-    count = np.bincount(cell, minlength=rows * columns).reshape(rows, columns).astype(np.float64)
     # Sums over no place at all are whole numbers to numpy.
-    total = (
-        np.bincount(cell, found.height_mm[inside], rows * columns).astype(np.float64).reshape(rows, columns)
+    count, total = (
+        np.bincount(cell, weights, rows * columns).reshape(rows, columns).astype(np.float64)
+        for weights in (None, found.height_mm[inside])
     )
     known = count > 0.0
     height = np.divide(total, count, out=np.full_like(total, np.nan), where=known)
@@ -251,10 +222,7 @@ def in_cells(found: HeightMap, surface: Surface) -> MapCells:
         weight = ndimage.gaussian_filter(known.astype(np.float64), sigma, truncate=3.0)
         spread = ndimage.gaussian_filter(np.where(known, height, 0.0), sigma, truncate=3.0)
         near = ndimage.distance_transform_edt(~known) <= reach
-        filled = near & ~known & (weight > 0.0)
-        height = np.where(
-            filled, np.divide(spread, weight, out=np.zeros_like(weight), where=weight > 0.0), height
-        )
+        np.divide(spread, weight, out=height, where=near & ~known & (weight > 0.0))
     sound = np.isfinite(height) & (np.abs(height) < MOST_KEPT_MM)
     kept = np.full(height.shape, HOLE, np.int32)
     kept[sound] = np.round(height[sound] / KEPT_MM).astype(np.int32)
@@ -263,26 +231,26 @@ def in_cells(found: HeightMap, surface: Surface) -> MapCells:
 
 @dataclass(frozen=True, eq=False)
 class MapFigures:
-    """What a map says of a layer: mean over the base plate, highest and lowest spot of a bead from there, slope of its plane and the
-    direction in which that rises, share of the layer that is known, and (rows, columns) height over the mean in the surface's cells."""
+    """What a map says of a layer."""
 
-    mean_mm: float
-    hump_mm: float
+    mean_mm: float  # over the base plate
+    hump_mm: float  # highest and lowest spot of a bead from there
     hump_at_mm: tuple[float, float]
     dip_mm: float
     dip_at_mm: tuple[float, float]
-    slope_deg: float
+    slope_deg: float  # of its plane, and the direction in which that rises
     slope_to_deg: float
-    known: float
-    over_mm: Floats
+    known: float  # share of the layer
+    over_mm: Floats  # (rows, columns) height over the mean in the surface's cells
 
     def told(self) -> dict[str, Any]:
         """Return the figures for an answer, and for the certificate of the layer on it."""
+        digits = {"mean_mm": 6, "slope_to_deg": 1}
+        values = {name: value for name, value in vars(self).items() if name != "over_mm"}
         return {
-            "mean_mm": round(self.mean_mm, 6), "hump_mm": round(self.hump_mm, 4), "hump_at_mm": list(self.hump_at_mm),
-            "dip_mm": round(self.dip_mm, 4), "dip_at_mm": list(self.dip_at_mm), "slope_deg": round(self.slope_deg, 4),
-            "slope_to_deg": round(self.slope_to_deg, 1), "known": round(self.known, 4),
-        }  # fmt: skip
+            name: list(value) if isinstance(value, tuple) else round(value, digits.get(name, 4))
+            for name, value in values.items()
+        }
 
 
 def figures_of(cells: MapCells, surface: Surface, config: Config) -> MapFigures:
@@ -312,41 +280,32 @@ def figures_of(cells: MapCells, surface: Surface, config: Config) -> MapFigures:
     mean_mm = float(height[known].mean())
     row, column = ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
     over = height[row, column] - mean_mm
-    spots = _spots(over, known, SPOT_BEADS * bead_mm / surface.step_mm)
+    # Means over the spot of a bead, of what is known.
+    blurred = partial(ndimage.gaussian_filter, sigma=SPOT_BEADS * bead_mm / surface.step_mm, mode="constant")
+    weight, value = blurred(known.astype(np.float64)), blurred(np.where(known, over, 0.0))
+    spots = np.divide(value, weight, out=np.zeros_like(value), where=known & (weight > 0.0))
     top, low = int(np.argmax(np.where(known, spots, -np.inf))), int(np.argmin(np.where(known, spots, np.inf)))
-    slope = _slope(over, known, surface.step_mm)
+    # Gradient of the plane through known cells; 0 along a direction in which they do not extend.
+    places = np.argwhere(known)[:, ::-1] * surface.step_mm
+    slope, *_ = np.linalg.lstsq(places - places.mean(axis=0), over[known], rcond=1e-9)
     figures = MapFigures(
         mean_mm, float(spots.flat[top]), _place(surface, top), -float(spots.flat[low]), _place(surface, low),
         math.degrees(math.atan(math.hypot(*slope))), math.degrees(math.atan2(slope[1], slope[0])) % 360.0, share, over,
     )  # fmt: skip
     limit = settings.uneven_mm
     if limit is None:
-        limit = min(config.process.largest_unevenness_mm, UNEVEN_SHARE * config.layer_height_mm)
+        # The tip of the wire passes over half the usual height of a layer.
+        limit = min(config.process.largest_unevenness_mm, 0.5 * config.layer_height_mm)
     if max(figures.hump_mm, figures.dip_mm) > limit:
-        hump = figures.hump_mm >= figures.dip_mm
-        off, (x, y) = (figures.hump_mm, figures.hump_at_mm) if hump else (figures.dip_mm, figures.dip_at_mm)
-        raise Refused(
-            "map-uneven",
-            f"the layer lies {off:.2f} mm {'over' if hump else 'under'} its mean of {mean_mm:.3f} mm at ({x:.1f}, {y:.1f}): at most "
-            f"{limit:.2f} mm can be mended (height_map.uneven_mm): machine or fill it there, and measure again",
+        hump, dip = (
+            (figures.hump_mm, "over", figures.hump_at_mm),
+            (figures.dip_mm, "under", figures.dip_at_mm),
         )
+        off, side, (x, y) = hump if hump[0] >= dip[0] else dip
+        where = f"the layer lies {off:.2f} mm {side} its mean of {mean_mm:.3f} mm at ({x:.1f}, {y:.1f})"
+        what = f"at most {limit:.2f} mm can be mended (height_map.uneven_mm): machine or fill it there, and measure again"
+        raise Refused("map-uneven", f"{where}: {what}")
     return figures
-
-
-def _spots(over: Floats, known: Bools, sigma: float) -> Floats:
-    """Mean over the spot of a bead, of what is known."""
-    weight = ndimage.gaussian_filter(known.astype(np.float64), sigma, mode="constant")
-    value = ndimage.gaussian_filter(np.where(known, over, 0.0), sigma, mode="constant")
-    return np.divide(value, weight, out=np.zeros_like(value), where=known & (weight > 0.0))
-
-
-def _slope(over: Floats, known: Bools, step_mm: float) -> tuple[float, float]:
-    """Gradient of the plane through known cells; 0 along a direction in which they do not extend."""
-    row, column = np.nonzero(known)
-    places = np.column_stack([column * step_mm, row * step_mm]).astype(np.float64)
-    places -= places.mean(axis=0)
-    found, *_ = np.linalg.lstsq(places, over[known], rcond=1e-9)
-    return float(found[0]), float(found[1])
 
 
 def _place(surface: Surface, cell: int) -> tuple[float, float]:
@@ -355,14 +314,7 @@ def _place(surface: Surface, cell: int) -> tuple[float, float]:
     return round(x, 2), round(y, 2)
 
 
-# -- readings --------------------------------------------------------------------------------------
-
 LONGEST_LINE = 4096  # bytes of a line; a reading takes a hundred
-
-UNIT = "mm"
-
-ABSURD = 0.75  # share of a layer's height by which it may come out higher or lower than planned: beyond it is no bead but a fault
-ALIKE = 0.35  # share of a layer by which a value converted from another unit may miss the plan and yet tell that it is that unit
 
 
 @dataclass(frozen=True)
@@ -380,13 +332,11 @@ class Reading:
     done: int
     height_mm: float
     cells: MapCells | None = field(default=None, compare=False)
-    map_sha256: str = ""
     warmth: Warmth | None = None
+    map_sha256: str = field(init=False)
 
-    @classmethod
-    def of_map(cls, done: int, mean_mm: float, cells: MapCells) -> Reading:
-        """Return the reading of a map."""
-        return cls(done, mean_mm, cells, cells.sha256)
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "map_sha256", self.cells.sha256 if self.cells else "")
 
     def entry(self) -> dict[str, Any]:
         """Line of the journal."""
@@ -398,10 +348,8 @@ class Reading:
     @classmethod
     def of_entry(cls, entry: dict[str, Any]) -> Reading:
         """Take it back from a line of the journal."""
-        found = cls(int(entry["done"]), float(entry["height_mm"]))
-        if "map" in entry:
-            found = cls.of_map(found.done, found.height_mm, MapCells.of_entry(entry["map"]))
-        return replace(found, warmth=warmth_of(entry))
+        cells = MapCells.of_entry(entry["map"]) if "map" in entry else None
+        return cls(int(entry["done"]), float(entry["height_mm"]), cells, warmth_of(entry))
 
 
 def parsed(line: bytes) -> dict[str, Any]:
@@ -410,10 +358,16 @@ def parsed(line: bytes) -> dict[str, Any]:
         raise Refused("unreadable", f"a line of more than {LONGEST_LINE} bytes")
     if not line.strip():
         raise Refused("unreadable", "the line is empty")
+
+    def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        keys = [key for key, _ in pairs]
+        # Which of two values was meant, nobody knows.
+        for twice in (key for k, key in enumerate(keys) if key in keys[:k]):
+            raise Refused("unreadable", f"{twice!r:.40} is in the line twice")
+        return dict(pairs)
+
     try:
-        found = json.loads(line.decode("utf-8"), object_pairs_hook=_once)
-    except KeyError as error:
-        raise Refused("unreadable", f"{error.args[0]!r:.40} is in the line twice") from None
+        found = json.loads(line.decode("utf-8"), object_pairs_hook=once)
     except (ValueError, RecursionError):
         raise Refused("unreadable", "the line is no JSON") from None
     if not isinstance(found, dict):
@@ -421,20 +375,10 @@ def parsed(line: bytes) -> dict[str, Any]:
     return found
 
 
-def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """Return an object whose keys are there once: which of two values was meant, nobody knows."""
-    found: dict[str, Any] = {}
-    for key, value in pairs:
-        if key in found:
-            raise KeyError(key)
-        found[key] = value
-    return found
-
-
 def reading_of(message: dict[str, Any]) -> Reading:
     """Return the reading of a message, by its types alone."""
-    unit = message.get("unit", UNIT)
-    if unit != UNIT:
+    unit = message.get("unit", "mm")
+    if unit != "mm":
         raise Refused("unit", f"unit {unit!r:.20}: heights are in mm and are not converted")
     done = done_of(message)
     height = message.get("height_mm")
@@ -454,12 +398,9 @@ def reading_of(message: dict[str, Any]) -> Reading:
 def map_reading(
     message: dict[str, Any], surface: Surface | None, config: Config, last: Reading | None = None
 ) -> Reading:
-    """Read the map of a message; its mean, where there is metal, is the height of the reading.
-
-    One that was used for the `last` reading, and comes again, is that reading.
-    """
+    """Read the map of a message; its mean on metal is the height. One that was used for the `last` reading is that reading."""
     done = done_of(message)
-    if message.get("unit", UNIT) != UNIT:
+    if message.get("unit", "mm") != "mm":
         raise Refused("unit", "the unit of a map is height_map.unit_mm of its frame")
     if message.get("height_mm") is not None:
         raise Refused("map", "give `height_mm` or `height_map`: the mean of a map is its height")
@@ -479,7 +420,7 @@ def map_reading(
         raise Refused("map", str(error)) from None
     except MemoryError:
         raise Refused("map", f"{name:.80}: is too large for the memory of this machine") from None
-    return Reading.of_map(done, figures.mean_mm, cells)
+    return Reading(done, figures.mean_mm, cells)
 
 
 def warmth_of(message: dict[str, Any]) -> Warmth | None:
@@ -508,18 +449,16 @@ def done_of(message: dict[str, Any]) -> int:
 def check_height(reading: Reading, base_mm: float, top_mm: float) -> None:
     """Refuse a height that a layer that was laid from `base_mm` to `top_mm` cannot have."""
     height, planned = reading.height_mm, top_mm - base_mm
-    room = ABSURD * planned
+    room = 0.75 * planned  # beyond it is no bead but a fault
     if abs(height - top_mm) <= room:
         return
     for factor, unit in ((25.4, "inches"), (1000.0, "metres"), (1.0 / 1000.0, "micrometres")):
-        if abs(height * factor - top_mm) <= min(ALIKE * planned, room):
-            raise Refused(
-                "unit", f"height_mm {height:g} would be the layer's height in {unit}: heights are in mm"
-            )
+        if abs(height * factor - top_mm) <= 0.35 * planned:
+            said = f"would be the layer's height in {unit}: heights are in mm"
+            raise Refused("unit", f"height_mm {height:g} {said}")
     if height <= base_mm:
-        raise Refused(
-            "decreasing", f"height_mm {height:g} is not over {base_mm:.3f}, on which the layer was laid"
-        )
+        said = f"is not over {base_mm:.3f}, on which the layer was laid"
+        raise Refused("decreasing", f"height_mm {height:g} {said}")
     off_mm = abs(height - top_mm)
     off = f"{off_mm:.3f}" if off_mm < 1e6 else f"{off_mm:.4g}"  # of one that no machine has a few digits
     raise Refused("absurd", f"height_mm {height:g} is {off} mm off the plan, {top_mm:.3f}: over {room:.3f}")

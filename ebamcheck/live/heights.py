@@ -1,13 +1,7 @@
 """Heights of the layers that are still to come, from what stands to the part's top, and the feed at which one of a height is laid.
 
-A plan is made anew from every measured height. Every level face of the part is a border of layers, where the limits of the
-bead allow it; what they do not allow is said in words before it happens. The cusp of a layer is its height times the cosine
-of the surface's slope (Dolenc and Makela 1994), so that steep walls take thick layers.
-
-Wire goes with feed times height, v_wire A = v b h. Within the limits of the wire the feed stays, and the wire follows the height.
-A layer that would take more wire than the feeder has, or than the beam melts, is laid slower; one that would take less than
-the feeder's least is laid faster: within the windows of feed, travel and line energy. Feed and wire change by the same factor, so
-that a bead by itself stays as high as it was, and limits of layer height over bead height mean the same.
+Level faces are borders of layers where the bead allows it; the cusp of a layer is its height times the cosine of the surface's slope (Dolenc
+and Makela 1994). Wire goes with feed times height, v_wire A = v b h: within the limits of the wire the feed stays, beyond them both change.
 """
 
 from __future__ import annotations
@@ -28,24 +22,11 @@ from ebamcheck.settings.process_window import nominal_wire_speed_mm_s, speed_win
 from ebamcheck.writing.wire import MOST_MENDED
 
 Mode = Literal["uniform", "listed", "adaptive"]
-
-LEVEL = 1e-9  # one less the cosine of the slope of a facet that is level: the rounding of its normal
 LEVEL_MM = 1e-6  # faces nearer than this lie at one height
-LEAST_FACE_MM2 = 1.0  # smaller level faces, in all, are tips and chamfers: no layer is bent to them
-
-MET = 0.5  # share of the least layer by which a height may lie off a face and count as it: no layer can mend less
-STEPS_A_LAYER = 16  # steps in the least layer at which slopes are known
 ROUNDING = 1e-9
-
+# Least and greatest local height of a layer over its height, on a surface that was measured: a wire feed has several times that room
 LOCAL = (1.0 - MOST_MENDED, 1.0 + MOST_MENDED)
-"""Least and greatest local height of a layer over its height, on a surface that was measured. The limits of a wire feed lie
-several times as far apart, so that one feed for the layer leaves the wire room to follow the local height all along."""
-
 CONTOURS = 1.25  # wire of a bead along a contour over that of the layer: it lays the rim, too
-SHARE_DIGITS = 4  # decimals of a changed feed over that of the process
-
-
-# -- feed --------------------------------------------------------------------------------------------
 
 
 def speed_share(config: Config, thickness_mm: float, room: tuple[float, float] = (1.0, 1.0)) -> float | None:
@@ -71,29 +52,24 @@ def speed_share(config: Config, thickness_mm: float, room: tuple[float, float] =
         return None
     if low <= 1.0 <= high:
         return 1.0
-    grid = 10.0**SHARE_DIGITS
-    share = math.ceil(low * grid) / grid if low > 1.0 else math.floor(high * grid) / grid
+    share = math.ceil(low * 1e4) / 1e4 if low > 1.0 else math.floor(high * 1e4) / 1e4
     return share if low <= share <= high else min(max(1.0, low), high)
 
 
 def at_speed(config: Config, share: float) -> Config:
     """Return the settings of a layer that is laid at a share of the feed of the process."""
-    if share == 1.0:
-        return config
-    process = config.process
-    changes = {
-        "travel_speed_mm_s": process.travel_speed_mm_s * share,
-        "wire_speed_mm_s": process.wire_speed_mm_s * share,
-    }
-    return config.model_copy(update={"process": process.model_copy(update=changes)})
+    process, names = config.process, ("travel_speed_mm_s", "wire_speed_mm_s")
+    changes = {name: getattr(process, name) * share for name in names}
+    return (
+        config if share == 1.0 else config.model_copy(update={"process": process.model_copy(update=changes)})
+    )
 
 
 def at_layer_feed(config: Config, thickness_mm: float, mapped: bool = False, along: bool = True) -> Config:
-    """Return the settings of a layer of a height with its feed; that of the process where no feed is within every limit: the gates tell of it.
+    """Return the settings of a layer with its feed; that of the process where no feed is within every limit: the gates tell of it.
 
-    The feed of the process stays where the wire has room, at it, for the beads along contours, too; on a surface that was
-    measured, `mapped`, for the local height besides. Where no feed leaves that much room, as much of it as one leaves, and the feed
-    follows `along` the path, too.
+    The wire is left room for contours, and on a `mapped` surface for the local height: as much of it as a feed leaves, and where that is
+    not all, the feed follows `along` the path, too.
     """
     least, most = LOCAL if mapped else (1.0, 1.0)
     parts = (1.0, 0.75, 0.5, 0.25, 0.0)
@@ -106,15 +82,9 @@ def at_layer_feed(config: Config, thickness_mm: float, mapped: bool = False, alo
 
 def has_room(config: Config, thickness_mm: float) -> bool:
     """Whether the wire can follow the local height of a measured surface at the feed of the settings, along contours, too."""
-    wire = nominal_wire_speed_mm_s(config, thickness_mm)
-    process = config.process
-    return (
-        wire * LOCAL[0] >= process.wire_speed_min_mm_s
-        and wire * LOCAL[1] * CONTOURS <= process.wire_speed_max_mm_s
-    )
-
-
-# -- limits ------------------------------------------------------------------------------------------
+    wire, process = nominal_wire_speed_mm_s(config, thickness_mm), config.process
+    low, high = wire * LOCAL[0], wire * LOCAL[1] * CONTOURS
+    return low >= process.wire_speed_min_mm_s and high <= process.wire_speed_max_mm_s
 
 
 @dataclass(frozen=True)
@@ -136,21 +106,18 @@ def bead_limits(config: Config) -> Limits:
     """Limits of the bead: the process window, the wire feed, and the power that melts the wire."""
     process = config.process
     per_mm = nominal_wire_speed_mm_s(config, 1.0)
-    lowest, highest = (share * process.bead_height_mm for share in process.layer_over_bead)
-    melted = _farthest(lambda mm: least_power_share(config, mm) <= 1.0, 0.0, highest, 60)
-    least = max(
-        (lowest, "process.layer_over_bead"),
-        (process.wire_speed_min_mm_s / per_mm, "process.wire_speed_min_mm_s"),
+    lowest, highest = (
+        (share * process.bead_height_mm, "process.layer_over_bead") for share in process.layer_over_bead
     )
-    most = min(
-        (highest, "process.layer_over_bead"),
-        (process.wire_speed_max_mm_s / per_mm, "process.wire_speed_max_mm_s"),
-        (melted, "the power of the beam"),
+    melted = _farthest(lambda mm: least_power_share(config, mm) <= 1.0, 0.0, highest[0], 60)
+    slowest, fastest = (
+        (getattr(process, name) / per_mm, f"process.{name}")
+        for name in ("wire_speed_min_mm_s", "wire_speed_max_mm_s")
     )
+    least, most = max(lowest, slowest), min(highest, fastest, (melted, "the power of the beam"))
     if least[0] > most[0]:
-        raise SettingsError(
-            f"no layer height is within the process: at least {least[0]:.3g} mm by {least[1]}, at most {most[0]:.3g} mm by {most[1]}"
-        )
+        bounds = f"at least {least[0]:.3g} mm by {least[1]}, at most {most[0]:.3g} mm by {most[1]}"
+        raise SettingsError(f"no layer height is within the process: {bounds}")
     usual = min(max(config.layer_height_mm, least[0]), most[0])
     return Limits(least[0], most[0], usual, (least[1], most[1]))
 
@@ -165,11 +132,8 @@ def feed_limits(config: Config, limits: Limits) -> Limits:
     )
     least, most = min(least, limits.least_mm), max(most, limits.most_mm)
     bead, feed = "process.layer_over_bead", "wire, beam and every feed"
-    why = (
-        bead if least <= low * (1.0 + ROUNDING) else feed,
-        bead if most >= high * (1.0 - ROUNDING) else feed,
-    )
-    return Limits(least, most, limits.usual_mm, why)
+    by_bead = least <= low * (1.0 + ROUNDING), most >= high * (1.0 - ROUNDING)
+    return Limits(least, most, limits.usual_mm, (bead if by_bead[0] else feed, bead if by_bead[1] else feed))
 
 
 def _farthest(holds: Callable[[float], bool], good_mm: float, to_mm: float, halvings: int) -> float:
@@ -183,17 +147,13 @@ def _farthest(holds: Callable[[float], bool], good_mm: float, to_mm: float, halv
     return good_mm
 
 
-# -- layers ------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True, eq=False)
 class Slopes:
-    """Level faces and slopes of a part: Z (F,) of its level faces over its lowest point, rising, the top the last; and (n,) greatest cosine
-    of the slope in each cell of a height from below, 0 for a vertical wall, without level faces."""
+    """Level faces and slopes of a part."""
 
-    faces_mm: Floats
+    faces_mm: Floats  # (F,) Z of its level faces over its lowest point, rising, the top the last
     step_mm: float
-    level: Floats
+    level: Floats  # (n,) greatest cosine of the slope in each step from below, 0 for a vertical wall, without level faces
 
     @classmethod
     def of(cls, part: Part, step_mm: float) -> Slopes:
@@ -204,8 +164,13 @@ class Slopes:
         twice = np.linalg.norm(normal, axis=1)
         cosine = np.abs(normal[:, 2]) / np.where(twice > 0.0, twice, 1.0)
         height = float(part.size[2])
-        flat = (cosine >= 1.0 - LEVEL) & (np.ptp(z, axis=1) <= LEVEL_MM)
-        found = _grouped(z[flat].mean(axis=1), 0.5 * twice[flat]) if flat.any() else np.zeros(0)
+        flat = (cosine >= 1.0 - 1e-9) & (np.ptp(z, axis=1) <= LEVEL_MM)
+        at = z[flat].mean(axis=1)
+        order = np.argsort(at)
+        begins = np.flatnonzero(np.diff(at[order], prepend=-np.inf) > LEVEL_MM)
+        area_mm2 = np.add.reduceat(0.5 * twice[flat][order], begins) if begins.size else np.zeros(0)
+        # Smaller level faces, in all, are tips and chamfers: no layer is bent to them.
+        found = at[order][begins][area_mm2 >= 1.0]
         faces = found[(found > LEVEL_MM) & (found < height - LEVEL_MM)]
         count = max(1, math.ceil(height / step_mm - ROUNDING))
         low, high = z[~flat].min(axis=1), z[~flat].max(axis=1)
@@ -230,14 +195,6 @@ class Slopes:
         return np.array([step * self.steepest(top - step, top) for step, top in steps])
 
 
-def _grouped(z: Floats, area: Floats) -> Floats:
-    """Heights, rising, at which level facets have an area worth a layer."""
-    order = np.argsort(z)
-    z, area = z[order], area[order]
-    first = np.flatnonzero(np.diff(z, prepend=-np.inf) > LEVEL_MM)
-    return np.asarray(z[first][np.add.reduceat(area, first) >= LEAST_FACE_MM2], np.float64)
-
-
 def _greatest(first: np.ndarray, last: np.ndarray, value: Floats, count: int) -> Floats:
     """Greatest value over the ranges first .. last (n,) that hold each of some cells: largest values are written last."""
     result = np.zeros(count)
@@ -257,12 +214,12 @@ def _greatest(first: np.ndarray, last: np.ndarray, value: Floats, count: int) ->
 
 @dataclass(frozen=True, eq=False)
 class HeightPlan:
-    """Layers from what stands to the part's top: (L,) Z of each layer's top, and its cusp; and what cannot be met, one line each."""
+    """Layers from what stands to the part's top."""
 
     base_mm: float
-    tops_mm: Floats
+    tops_mm: Floats  # (L,) Z of each layer's top
     cusp_mm: Floats
-    said: tuple[str, ...] = ()
+    said: tuple[str, ...] = ()  # what cannot be met, one line each
 
     def __len__(self) -> int:
         """Return the number of layers."""
@@ -276,10 +233,9 @@ class HeightPlan:
 
 @dataclass(frozen=True, eq=False)
 class HeightRule:
-    """How heights are chosen.
+    """How heights are chosen: the usual one, changed as little as faces ask for; ``listed`` tops; or ``adaptive``, as the cusp allows.
 
-    ``uniform``: the usual height, changed as little as the faces ask for; ``listed``: given tops, rising; ``adaptive``: as thick as the
-    cusp allows. `by_feed` are limits where the feed follows, too, which it does where nothing within `limits` fits; None: it stays.
+    `by_feed` are limits where the feed follows, too, which it does where nothing within `limits` fits; None: it stays.
     """
 
     slopes: Slopes
@@ -296,8 +252,8 @@ class HeightRule:
 
     @property
     def met_mm(self) -> float:
-        """Distance within which a height counts as met."""
-        return MET * self.limits.least_mm
+        """Distance within which a height counts as met: no layer can mend less than half the least one."""
+        return 0.5 * self.limits.least_mm
 
     def plan(self, base_mm: float) -> HeightPlan:
         """Plan the layers on what stands.
@@ -328,31 +284,25 @@ class HeightRule:
         slopes, limits = self.slopes, self.outer
         top = slopes.top_mm
         if top - base_mm <= self.met_mm:
-            over = base_mm - top
-            late = over > self.met_mm
-            said = [f"what stands is {over:.3f} mm over the part's top: it is to be machined off"]
-            return [], said if late else []
+            said = [f"what stands is {base_mm - top:.3f} mm over the part's top: it is to be machined off"]
+            return [], said if base_mm - top > self.met_mm else []
         wanted = sorted({*self.listed_mm, top} if self.mode == "listed" else slopes.faces_mm.tolist())
-        said = []
-        kept: list[float] = []
-        low = base_mm
+        said, kept, low = [], list[float](), base_mm
         for z in wanted:
             if z <= base_mm + (LEVEL_MM if z < base_mm else self.met_mm):
                 continue
             if z - low < limits.least_mm * (1.0 - ROUNDING):
                 if z != top:
+                    least = f"less than the least layer, {limits.least_mm:.3f} mm by {limits.why[0]}"
                     said.append(
-                        f"the face at Z {z:.3f} is not met: {z - low:.3f} mm over {low:.3f} is less than the least layer, "
-                        f"{limits.least_mm:.3f} mm by {limits.why[0]}"
+                        f"the face at Z {z:.3f} is not met: {z - low:.3f} mm over {low:.3f} is {least}"
                     )
                     continue
                 while kept and z - (kept[-2] if len(kept) > 1 else base_mm) < limits.least_mm:
                     kept.pop()
                 if kept:
-                    said.append(
-                        f"the face at Z {kept[-1]:.3f} is not met: the top lies {z - kept[-1]:.3f} mm over it"
-                    )
-                    kept.pop()
+                    over = f"the top lies {z - kept[-1]:.3f} mm over it"
+                    said.append(f"the face at Z {kept.pop():.3f} is not met: {over}")
             kept.append(z)
             low = z
         return kept, said
@@ -360,12 +310,9 @@ class HeightRule:
     def _between(self, low_mm: float, high_mm: float) -> tuple[list[float], str]:
         """Layers that fill the way from one height to the next, and what cannot be met."""
         gap, limits, outer = high_mm - low_mm, self.limits, self.outer
-        if self.mode == "adaptive":
-            wanted = self._by_cusp(low_mm, high_mm)
-        elif self.mode == "listed":
-            wanted = [gap]
-        else:
-            wanted = [limits.usual_mm] * max(1, round(gap / limits.usual_mm))
+        wanted = [limits.usual_mm] * max(1, round(gap / limits.usual_mm))
+        if self.mode != "uniform":
+            wanted = [gap] if self.mode == "listed" else self._by_cusp(low_mm, high_mm)
         scaled = np.array(wanted) * (gap / sum(wanted))
         if (outer if self.mode != "uniform" else limits).hold(scaled):
             return scaled.tolist(), self._said_of_cusp(scaled, low_mm)
@@ -381,17 +328,13 @@ class HeightRule:
                     return even.tolist(), said or self._said_of_cusp(even, low_mm)
         # What cannot be laid is not planned: the nearest that can misses the height by half the least layer at most.
         fewest = max(1, math.floor(gap / outer.most_mm))
-        count, thick = min(
-            ((n, min(max(gap / n, outer.least_mm), outer.most_mm)) for n in (fewest, fewest + 1)),
-            key=lambda planned: abs(planned[0] * planned[1] - gap),
-        )
+        near = [(n, min(max(gap / n, outer.least_mm), outer.most_mm)) for n in (fewest, fewest + 1)]
+        count, thick = min(near, key=lambda planned: abs(planned[0] * planned[1] - gap))
         off_mm = count * thick - gap
-        said = (
-            f"from Z {low_mm:.3f} to {high_mm:.3f} mm no number of layers is within {outer.least_mm:.3f} mm "
-            f"({outer.why[0]}) .. {outer.most_mm:.3f} mm ({outer.why[1]}): it is planned {abs(off_mm):.3f} mm too "
-            f"{'high' if off_mm > 0.0 else 'low'}"
-        )
-        return [thick] * count, said
+        bounds = f"{outer.least_mm:.3f} mm ({outer.why[0]}) .. {outer.most_mm:.3f} mm ({outer.why[1]})"
+        said = f"from Z {low_mm:.3f} to {high_mm:.3f} mm no number of layers is within {bounds}"
+        side = "high" if off_mm > 0.0 else "low"
+        return [thick] * count, f"{said}: it is planned {abs(off_mm):.3f} mm too {side}"
 
     def _by_cusp(self, low_mm: float, high_mm: float) -> list[float]:
         """Layers from below, each as thick as the cusp allows; together at least the way."""
@@ -415,10 +358,9 @@ class HeightRule:
         k = int(np.argmax(cusp))
         if cusp[k] <= self.cusp_mm * (1.0 + 1e-6):
             return ""
-        return (
-            f"the cusp of the layer up to Z {tops[k]:.3f} is {cusp[k]:.3f} mm, over {self.cusp_mm:g} mm: thinner layers than "
-            f"{self.outer.least_mm:.3f} mm ({self.outer.why[0]}) would be needed"
-        )
+        cusps = f"the cusp of the layer up to Z {tops[k]:.3f} is {cusp[k]:.3f} mm, over {self.cusp_mm:g} mm"
+        least = f"{self.outer.least_mm:.3f} mm ({self.outer.why[0]})"
+        return f"{cusps}: thinner layers than {least} would be needed"
 
 
 def height_rule(
@@ -428,10 +370,9 @@ def height_rule(
     if not (math.isfinite(cusp_mm) and cusp_mm > 0.0):
         raise SettingsError(f"cusp {cusp_mm} mm: give a positive number of millimetres")
     listed = tuple(float(z) for z in listed_mm)
-    if mode == "listed" and (
-        not listed or not all(a < b for a, b in zip((0.0, *listed), listed, strict=False))
-    ):
+    rises = all(a < b for a, b in zip((0.0, *listed), listed, strict=False))
+    if mode == "listed" and not (listed and rises):
         raise SettingsError("listed heights must be positive and rise from layer to layer")
     limits = bead_limits(config)
-    slopes = Slopes.of(part, limits.least_mm / STEPS_A_LAYER)
+    slopes = Slopes.of(part, limits.least_mm / 16)
     return HeightRule(slopes, limits, mode, cusp_mm, listed, feed_limits(config, limits))

@@ -7,14 +7,17 @@ from __future__ import annotations
 
 import csv
 import math
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from ebamcheck.atomic_file import replacing
 from ebamcheck.kernels import Floats
+from ebamcheck.showing.markup import Markup, element, svg_file, text
 
 TABLE, PLOT = "heights.csv", "heights.svg"
 
@@ -23,19 +26,15 @@ PLOT_EVERY = 20  # the plot is drawn anew after so many layers, and when a serve
 
 @dataclass(frozen=True)
 class LaidHeight:
-    """One layer that was laid and measured, from 1, with heights over the base plate.
+    """One layer that was laid and measured, with heights over the base plate."""
 
-    Its top as planned when the build began, NaN where it was not planned then; as corrected from what it was laid on; as measured, and how
-    far that is over the corrected one; its height as corrected and as grown, and its cusp.
-    """
-
-    layer: int
-    planned_top_mm: float
+    layer: int  # from 1
+    planned_top_mm: float  # when the build began; NaN where it was not planned then
     base_mm: float
-    corrected_top_mm: float
+    corrected_top_mm: float  # from what it was laid on
     measured_top_mm: float
-    deviation_mm: float
-    thickness_mm: float
+    deviation_mm: float  # of the measured top over the corrected one
+    thickness_mm: float  # as corrected
     grown_mm: float
     cusp_mm: float
 
@@ -51,26 +50,19 @@ def laid_height(
 
 
 class HeightsTable:
-    """The table of a build in its folder; rows wait until somebody has time to write them."""
+    """The table of a build in its folder; rows that are added wait until somebody has time to write them."""
 
     def __init__(self, folder: Path) -> None:
         self._folder, self._waiting, self._written = folder, list[LaidHeight](), 0
-
-    def add(self, row: LaidHeight) -> None:
-        """Add a row, to be written later."""
-        self._waiting.append(row)
+        self.add = self._waiting.append
 
     def write(self, ended: bool = False) -> None:
-        """Write the rows that wait, and now and then the plot; a table of before is begun anew.
-
-        A full disk costs the table, and not the build.
-        """
-        with suppress(OSError):
-            self._write(ended)
+        """Write the rows that wait, and now and then the plot, a table of before anew; a full disk costs the table, and not the build."""
+        if self._waiting or (ended and self._written):
+            with suppress(OSError):
+                self._write(ended)
 
     def _write(self, ended: bool) -> None:
-        if not self._waiting and not (ended and self._written):
-            return
         names = [field.name for field in fields(LaidHeight)]
         with (self._folder / TABLE).open("a" if self._written else "w", newline="") as file:
             writer = csv.DictWriter(file, names)
@@ -91,35 +83,24 @@ def read_heights(path: Path) -> dict[str, Floats]:
     return {field.name: np.array([float(row[field.name]) for row in rows]) for field in fields(LaidHeight)}
 
 
-# -- plot ----------------------------------------------------------------------------------------------
-
 WIDTH_PX, PANEL_PX, LEFT_PX, TOP_PX, GAP_PX, RIGHT_PX = 900.0, 170.0, 70.0, 46.0, 58.0, 20.0
-
 # Title of each panel, and its lines: name, column, and the column that is taken off it
 PANELS = (
     ("height over the plan of the beginning, mm", (("corrected", "corrected_top_mm", "planned_top_mm"), ("measured", "measured_top_mm", "planned_top_mm"))),
     ("height of the layer, mm", (("corrected", "thickness_mm", ""), ("as grown", "grown_mm", ""))),
     ("cusp and deviation, mm", (("cusp", "cusp_mm", ""), ("deviation", "deviation_mm", ""))),
 )  # fmt: skip
-
-LINES = (("#1f77b4", ""), ("#d62728", "5 3"))  # colour and dashes of the lines of a panel
+LINES = (("#1f77b4", None), ("#d62728", "5 3"))  # colour and dashes of the lines of a panel
 
 
 def heights_plot(table: dict[str, Floats]) -> str:
     """Draw a table of heights over the layers, one panel under the other; the text of an SVG file."""
-    high = TOP_PX + len(PANELS) * (PANEL_PX + GAP_PX)
-    count = len(table["layer"])
-    parts = [
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH_PX:g} {high:g}" font-family="sans-serif" font-size="12">',
-        f'<rect width="{WIDTH_PX:g}" height="{high:g}" fill="white"/>',
-        f'<text x="{LEFT_PX:g}" y="20" font-size="14">Heights of {count} layers: planned, measured, corrected</text>',
-    ]
-    for k, (title, lines) in enumerate(PANELS):
-        columns = [table[column] - table[less] if less else table[column] for _, column, less in lines]
-        parts += _panel(
-            TOP_PX + k * (PANEL_PX + GAP_PX), title, [name for name, *_ in lines], table["layer"], columns
-        )
-    return "\n".join([*parts, "</svg>", ""])
+    title = f"Heights of {len(table['layer'])} layers: planned, measured, corrected"
+    parts = [text(LEFT_PX, 20, title, 14)]
+    for k, (name, lines) in enumerate(PANELS):
+        columns = {line: table[column] - (table[less] if less else 0.0) for line, column, less in lines}
+        parts += _panel(TOP_PX + k * (PANEL_PX + GAP_PX), name, table["layer"], columns)
+    return svg_file(WIDTH_PX, TOP_PX + len(PANELS) * (PANEL_PX + GAP_PX), parts, title)
 
 
 def ticks(low: float, most: float) -> list[float]:
@@ -137,43 +118,30 @@ def ticks(low: float, most: float) -> list[float]:
     return [round(k * step, 9) + 0.0 for k in range(first, last + 1)]
 
 
-def _panel(top_px: float, title: str, names: list[str], layer: Floats, columns: list[Floats]) -> list[str]:
-    values = np.concatenate([column[np.isfinite(column)] for column in columns] or [np.zeros(1)])
+def _panel(top_px: float, title: str, layer: Floats, columns: dict[str, Floats]) -> Iterator[Markup]:
+    values = np.concatenate([column[np.isfinite(column)] for column in columns.values()])
     low, most = (float(values.min()), float(values.max())) if values.size else (0.0, 1.0)
     low, most = (low, most) if most > low else (low - 0.5, low + 0.5)
     wide, last = WIDTH_PX - LEFT_PX - RIGHT_PX, max(float(layer[-1]) if layer.size else 2.0, 2.0)
 
-    def x(value: float) -> float:
+    def x(value: Any) -> Any:
         return LEFT_PX + wide * (value - 1.0) / (last - 1.0)
 
-    def y(value: float) -> float:
+    def y(value: Any) -> Any:
         return top_px + PANEL_PX * (most - value) / (most - low)
 
-    parts = [
-        f'<rect x="{LEFT_PX:g}" y="{top_px:g}" width="{wide:g}" height="{PANEL_PX:g}" fill="none" stroke="#777"/>',
-        f'<text x="{LEFT_PX:g}" y="{top_px - 6:g}">{title}</text>',
-    ]
-    parts += [
-        f'<text x="{LEFT_PX - 6:g}" y="{y(value) + 4:.1f}" text-anchor="end">{value:g}</text>'
-        for value in ticks(low, most)
-    ]
-    parts += [
-        f'<text x="{x(value):.1f}" y="{top_px + PANEL_PX + 16:g}" text-anchor="middle">{value:g}</text>'
-        for value in sorted({1.0, *(t for t in ticks(1.0, last) if t >= 1.0)})
-    ]
+    yield element("rect", x=LEFT_PX, y=top_px, width=wide, height=PANEL_PX, fill="none", stroke="#777")
+    yield text(LEFT_PX, top_px - 6, title, 12)
+    for value in ticks(low, most):
+        yield text(LEFT_PX - 6, y(value) + 4, f"{value:g}", 12, text_anchor="end")
+    for value in sorted({1.0, *(t for t in ticks(1.0, last) if t >= 1.0)}):
+        yield text(x(value), top_px + PANEL_PX + 16, f"{value:g}", 12, text_anchor="middle")
     if low < 0.0 < most:
-        parts.append(f'<path d="M{LEFT_PX:g} {y(0.0):.1f}h{wide:g}" stroke="#bbb"/>')
-    for k, (name, column) in enumerate(zip(names, columns, strict=True)):
-        colour, dashes = LINES[k]
-        known = np.isfinite(column)
-        places = " ".join(
-            f"{x(a):.1f},{y(b):.1f}"
-            for a, b in zip(layer[known].tolist(), column[known].tolist(), strict=True)
-        )
-        at_px = WIDTH_PX - RIGHT_PX - 190.0 + 100.0 * k
-        parts += [
-            f'<polyline points="{places}" fill="none" stroke="{colour}" stroke-dasharray="{dashes}"/>',
-            f'<path d="M{at_px:g} {top_px - 10:g}h20" stroke="{colour}" stroke-dasharray="{dashes}"/>',
-            f'<text x="{at_px + 24:g}" y="{top_px - 6:g}">{name}</text>',
-        ]  # fmt: skip
-    return parts
+        yield element("path", d=f"M{LEFT_PX:g} {y(0.0):.1f}h{wide:g}", stroke="#bbb")
+    for k, (name, column) in enumerate(columns.items()):
+        known, at_px = np.isfinite(column), WIDTH_PX - RIGHT_PX - 190.0 + 100.0 * k
+        places = zip(x(layer[known]).tolist(), y(column[known]).tolist(), strict=True)
+        drawn = {"stroke": LINES[k][0], "stroke_dasharray": LINES[k][1], "fill": "none"}
+        yield element("polyline", points=" ".join(f"{a:.1f},{b:.1f}" for a, b in places), **drawn)
+        yield element("path", d=f"M{at_px:g} {top_px - 10:g}h20", **drawn)
+        yield text(at_px + 24, top_px - 6, name, 12)

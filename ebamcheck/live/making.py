@@ -1,13 +1,12 @@
 """One layer, end to end: cut by two exact methods, compared, fitted, filled, put in order, written, read back, judged.
 
-A layer is a program of its own, whose lowest layer lies on what stands (``layers.base_mm``): the whole text that the
-control gets is the text that was verified, and anybody can verify it again from part and settings.
+It is a program of its own, whose lowest layer lies on what stands: the text that the control gets is the one that was verified.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass, replace
@@ -33,7 +32,6 @@ from ebamcheck.mesh.inspection import inspect
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.part_source import PlatePart
 from ebamcheck.nc.control import control
-from ebamcheck.nc.motions import NCProgram
 from ebamcheck.pipeline import gates, stages
 from ebamcheck.pipeline.cross_check import compared_layers, witness_backend
 from ebamcheck.pipeline.fit import fitted
@@ -51,21 +49,17 @@ from ebamcheck.slicers.slicing import Slicing
 from ebamcheck.surface.part_surface import keep_surface_of
 
 ROOM_K = 10.0  # room under the limit beside what was found over it: with other waits and power beads are entered at other moments
-MOST_K = 150.0  # more than this no plan is to aim lower
 
 
 @dataclass(frozen=True)
 class Wanted:
-    """A layer that is to be made: its index in the build, from 0; Z of what it lies on; its height; and its name.
+    """A layer that is to be made."""
 
-    Islands and hatch lie as on the layer of index `layer + shifted`.
-    """
-
-    layer: int
-    base_mm: float
+    layer: int  # its index in the build, from 0
+    base_mm: float  # Z of what it lies on
     thickness_mm: float
     name: str
-    shifted: int = 0
+    shifted: int = 0  # islands and hatch lie as on the layer so many higher
 
     @property
     def top_mm(self) -> float:
@@ -75,20 +69,18 @@ class Wanted:
 
 @dataclass(frozen=True, eq=False)
 class MadeLayer:
-    """A layer that was made, whether it may be published or not: `after` is what stands when it is done, `wait_s` the least time between the last
-    bead below and its first one, `deposit_s` its time with the waits within it, and `seconds` the time that the making took, by stage.
-    """
+    """A layer that was made, whether it may be published or not."""
 
     wanted: Wanted
     config: Config
     files: ProgramFiles
     gates: tuple[Check, ...]
     checks: tuple[Check, ...]
-    after: Before
-    wait_s: float
+    after: Before  # what stands when it is done
+    wait_s: float  # least time between the last bead below and its first one
     islands: int
-    deposit_s: float
-    seconds: dict[str, float]
+    deposit_s: float  # its time with the waits within it
+    seconds: dict[str, float]  # that the making took, by stage
 
     @property
     def cut_mm(self) -> float:
@@ -107,27 +99,25 @@ class MadeLayer:
 
 
 class LayerMaker(AbstractContextManager["LayerMaker"]):
-    """A part as placed and two slicers, ready to make any layer of it.
-
-    The contours of `primary` become the program: empty, that of the settings, else the default one. An order of islands is improved by
-    `annealing_steps` moves; the greedy plans alone are a matter of a tenth of a second.
-    """
+    """A part as placed and two slicers, ready to make any layer of it; the contours of `primary`, or of the default one, become the program."""
 
     def __init__(self, part: Part, config: Config, primary: str = "", annealing_steps: int = 0) -> None:
         name = config.machine.control
-        config = preheated_in_layers(config)
+        if config.preheat.when != "off":
+            # Layers are released one by one: a scan that preheats is part of its layer's file.
+            preheat = config.preheat.model_copy(update={"scan_in": "layer"})
+            config = config.model_copy(update={"preheat": preheat})
         if not control(name).is_read:
-            raise SettingsError(
-                f"machine.control {name!r}: what is written for it is not read back, so that no layer of it can be proved"
-            )
+            said = "what is written for it is not read back, so that no layer of it can be proved"
+            raise SettingsError(f"machine.control {name!r}: {said}")
         self.part, self.config, self.annealing_steps = part, config, annealing_steps
         self.primary = primary or config.slicing.primary or registry.default_backend()
         self.witness = witness_backend(self.primary)
         if self.witness == self.primary:
-            raise BackendMissing(
-                f"no exact slicer beside {self.primary!r} is there: two methods have to agree"
-            )
+            said = f"no exact slicer beside {self.primary!r} is there: two methods have to agree"
+            raise BackendMissing(said)
         self.sound = gates.input_gate(inspect(part))
+        self.height_mm = float(part.size[2])  # Z of its top
         keep_surface_of(part)
         # What every layer has alike is made once, and written out once.
         # The direction that a part has been turned by; settings of a plate are of the parts which name none.
@@ -135,13 +125,11 @@ class LayerMaker(AbstractContextManager["LayerMaker"]):
         self._of_part = config.part.model_copy(update=turned)
         self._of_scan = config.scan.model_copy(update={"annealing_steps": annealing_steps})
         self._of_file = file_check(part, config.model_copy(update={"part": self._of_part}))
-        self.stands: Stands | None = None
-        """What stands of a part that is turned between layers; None: it is not."""
+        self.stands: Stands | None = None  # of a part that is turned between layers
         self._open = ExitStack()
         self._aside = self._open.enter_context(ThreadPoolExecutor(1))
-        given = config.slicing.settings
-        names = (self.primary, self.witness)
-        settings = {name: registry.slicer_settings(name, given.get(name, {})) for name in names}
+        given = {name: config.slicing.settings.get(name, {}) for name in (self.primary, self.witness)}
+        settings = {name: registry.slicer_settings(name, values) for name, values in given.items()}
         self._bounds = declared_bounds(part, settings)
         self._slicings = {
             name: self._open.enter_context(Slicing(part, name, **values.model_dump()))
@@ -157,27 +145,17 @@ class LayerMaker(AbstractContextManager["LayerMaker"]):
         """Absolute height of the part's lowest point."""
         return float(self.part.bounds[0, 2])
 
-    @property
-    def height_mm(self) -> float:
-        """Height of the part: Z of its top."""
-        return float(self.part.size[2])
-
     def section_at(self, height_mm: float, backend: str = "") -> BaseGeometry:
         """Section of the part at a height over its lowest point."""
-        cut = self._slicings[backend or self.primary].at(self.bottom_mm + height_mm)
-        return cut.section(0)
+        return self._slicings[backend or self.primary].at(self.bottom_mm + height_mm).section(0)
 
     def config_of(self, wanted: Wanted, mapped: bool = False, along: bool = True) -> Config:
         """Settings of the program of one layer: those of the run, with its height and name, and the feed for that height."""
         cut_mm = self.bottom_mm + wanted.base_mm + 0.5 * wanted.thickness_mm
         sections = at_layer_feed(self.config, wanted.thickness_mm, mapped, along)
         # Values that were worked out here need no check of all others, which takes a while with many plugins.
-        of_layer = {
-            "heights_mm": (cut_mm,),
-            "layer_height_mm": wanted.thickness_mm,
-            "base_mm": wanted.base_mm,
-        }
-        layers = sections.layers.model_copy(update=of_layer)
+        heights = {"heights_mm": (cut_mm,), "layer_height_mm": wanted.thickness_mm}
+        layers = sections.layers.model_copy(update=heights | {"base_mm": wanted.base_mm})
         machine = sections.machine.model_copy(update={"program_name": wanted.name})
         update = {"part": self._of_part, "layers": layers, "scan": self._of_scan, "machine": machine}
         return sections.model_copy(update=update)
@@ -185,25 +163,29 @@ class LayerMaker(AbstractContextManager["LayerMaker"]):
     def make(self, wanted: Wanted, before: Before, folder: Path) -> MadeLayer:
         """Make one layer on what stands; its program goes to `folder`, and is stamped as validated where every gate is open.
 
-        Where the feed follows along the path and a gate shuts, the plan aims cooler, and then the wire follows alone.
+        Where the feed follows along the path and a gate shuts, the plan aims cooler if the heat alone is over, and then the wire follows alone.
         """
-        mapped = before.mapped_surface
+        mapped = before.surface is not None and before.surface.mapped
         config = self.config_of(wanted, mapped)
         made = self._made(wanted, before, folder, config)
         if made.passed or not config.process.feed_along_path:
             return made
-        if (over_k := too_warm_k(made.gates)) > 0.0:
-            made = self._made(wanted, before, folder, config, over_k)
-        return (
-            made if made.passed else self._made(wanted, before, folder, self.config_of(wanted, mapped, False))
-        )
+        shut = [gate for gate in made.gates if not gate.passed]
+        if len(shut) == 1 and shut[0].name == "heat" and 0.0 < shut[0].value - shut[0].limit <= 150.0:
+            made = self._made(wanted, before, folder, config, shut[0].value - shut[0].limit)
+        if made.passed:
+            return made
+        return self._made(wanted, before, folder, self.config_of(wanted, mapped, False))
 
     def _made(
         self, wanted: Wanted, before: Before, folder: Path, config: Config, cooler_k: float = 0.0
     ) -> MadeLayer:
         """Make one layer by its settings, on a plan that aims under the limit of the heat by some kelvins."""
         seconds: dict[str, float] = {}
-        stands = before.measured()
+        stands, aimed = before.measured(), config
+        if cooler_k > 0.0:
+            limit = {"interpass_limit_k": entry_limit_k(config) - cooler_k - ROOM_K}
+            aimed = config.model_copy(update={"process": config.process.model_copy(update=limit)})
         with timed(seconds, "slice"):
             cuts = self._cut(wanted, config)
         contours, witness = cuts[self.primary], cuts[self.witness]
@@ -213,7 +195,7 @@ class LayerMaker(AbstractContextManager["LayerMaker"]):
             verdict, _ = fitted(contours, self.part, config, self._bounds[self.primary][0])
             smooth = stages.smooth_layers(verdict.curves)
         with timed(seconds, "plan"):
-            plan, after, wait_s = self._planned(smooth, wanted, stands, aimed_lower(config, cooler_k))
+            plan, after, wait_s = self._planned(smooth, wanted, stands, aimed)
         agreement = comparing.result()
         with timed(seconds, "write"):
             laid = stages.laid_out(smooth, plan, config, wanted.layer)
@@ -221,24 +203,22 @@ class LayerMaker(AbstractContextManager["LayerMaker"]):
         with timed(seconds, "verify"):
             read = control(config.machine.control).load("reader")
             program, match = matched(read(files.main, config), laid.path)
-            weighing = self._aside.submit(self._weighed, program, witness, after, config)
+            weighing = self._aside.submit(metal_checks, program, witness, after, config)
             # The program of the layer below ended with a rise, which the plan counts: it is not in the text of this one.
             rise_s = config.machine.safe_height_mm / config.machine.rapid_mm_s
-            checks = verify_program(
-                program,
-                config=config,
-                curves=laid.beads,
-                plan=plan,
-                match=match,
-                layers=witness,
-                heat=True,
-                before=before.rested(wait_s + rise_s).part.column,
-                under=self._under(config, self.witness),
-                sha256=files.sha256,
-                smooth=stages.smooth_sections(verdict.curves, config),
+            under, smooth_by = (
+                self._under(config, self.witness),
+                stages.smooth_sections(verdict.curves, config),
             )
+            checks = verify_program(
+                program, config=config, curves=laid.beads, plan=plan, match=match, layers=witness, heat=True,
+                before=before.rested(wait_s + rise_s).part.column, under=under, sha256=files.sha256, smooth=smooth_by,
+            )  # fmt: skip
+            cut_mm = float(witness.heights[0])
+            by_mesh = layer_check(self.part, cut_mm, config.base_mm, config.layer_height_mm)
+            sections = sections_check(self.part, witness, config)
             beside, after = weighing.result()
-            checks += [*beside, *form_checks(program, config), self._of_file]
+            checks += [*beside, by_mesh, sections, *form_checks(program, config), self._of_file]
             if self.stands is not None:
                 section = witness.section(0)
                 checks += turned_checks(program, section, config.layers.heights_mm[0], self.stands, config)
@@ -247,15 +227,8 @@ class LayerMaker(AbstractContextManager["LayerMaker"]):
         scan_s = sum(float(way.time_s.sum()) for way in scans_of(program, config).values())
         return MadeLayer(
             wanted, config, files, tuple(made), tuple(checks), after, wait_s, len(plan.islands),
-            after.layer_s + scan_s, seconds,
+            scan_s + (after.last.time_s if after.last else 0.0), seconds,
         )  # fmt: skip
-
-    def _weighed(
-        self, program: NCProgram, witness: Layers, before: Before, config: Config
-    ) -> tuple[list[Check], Before]:
-        checks, after = metal_checks(program, witness, before, config)
-        height = layer_check(self.part, float(witness.heights[0]), config.base_mm, config.layer_height_mm)
-        return [*checks, height, sections_check(self.part, witness, config)], after
 
     def _cut(self, wanted: Wanted, config: Config) -> dict[str, Layers]:
         cut_mm = config.layers.heights_mm[0]
@@ -304,25 +277,6 @@ class LayerMaker(AbstractContextManager["LayerMaker"]):
         return plan, replace(before, part=part, last=last), wait_s
 
 
-def too_warm_k(gates: Sequence[Check]) -> float:
-    """How far a layer is over the limit of the heat, of which that is all that is wrong; else 0."""
-    shut = [gate for gate in gates if not gate.passed]
-    if len(shut) != 1 or shut[0].name != "heat":
-        return 0.0
-    over_k = shut[0].value - shut[0].limit
-    return over_k if 0.0 < over_k <= MOST_K else 0.0
-
-
-def aimed_lower(config: Config, by_k: float) -> Config:
-    """Settings of a plan that aims under the limit of the heat; the layer itself is judged by the limit."""
-    if by_k <= 0.0:
-        return config
-    limit_k = entry_limit_k(config) - by_k - ROOM_K
-    return config.model_copy(
-        update={"process": config.process.model_copy(update={"interpass_limit_k": limit_k})}
-    )
-
-
 def failure_of(error: Exception) -> str:
     """One line for what ended the making of a layer."""
     text = " ".join(str(error).split())
@@ -335,10 +289,3 @@ def timed(seconds: dict[str, float], stage: str) -> Iterator[None]:
     begin = time.perf_counter()
     yield
     seconds[stage] = time.perf_counter() - begin
-
-
-def preheated_in_layers(config: Config) -> Config:
-    """Settings of layers that are released one by one: a scan that preheats is part of its layer's file."""
-    if config.preheat.when == "off":
-        return config
-    return config.model_copy(update={"preheat": config.preheat.model_copy(update={"scan_in": "layer"})})

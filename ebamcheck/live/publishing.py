@@ -1,8 +1,6 @@
 """Publishing a layer, whole and on disk or not at all: its program under a new name, its settings and certificate; and the journal of a build.
 
-A gate that judges a layer says nothing of what is told beside it (the wait before it, the file that is called, the end of the build):
-that is looked at once more, by `verify`, and by the server before it tells anybody. Each line of the journal carries the hash of the one
-before, so that a line that was changed or lost shows; one that a kill has cut off never told anything that was published.
+What is told beside a layer no gate judges: server and `verify` look at it once more. Each line of the journal carries the hash of the last.
 """
 
 from __future__ import annotations
@@ -36,8 +34,6 @@ from ebamcheck.writing.table import tilt_of
 CERTIFICATE, SETTINGS, PROGRAM = "layer.json", "settings.toml", "program"  # of a published layer
 LAYERS, CURRENT, JOURNAL = "layers", "current.json", "journal.jsonl"  # in the folder of a build
 FORMAT = "ebamcheck layer 2"  # format of a certificate: it counts layers from 1, as the layer's name does; format 1 counted them from 0
-STEM = 10  # characters of the program's name that a layer's name keeps
-
 # What a control is told of a layer that stands in its certificate, too
 SAID = ("layer", "base_mm", "thickness_mm", "travel_speed_mm_s", "wait_s", "layer_s")
 
@@ -48,24 +44,21 @@ def layer_name(program: str, layer: int, number: int) -> str:
     >>> layer_name("MAIN", 35, 2)
     'MAIN_K0036R2'
     """
-    name = f"{program[:STEM]}_K{layer + 1:04d}R{number}"
+    name = f"{program[:10]}_K{layer + 1:04d}R{number}"
     if len(name) > LONGEST_NAME - len("_L0001"):
-        raise SettingsError(
-            f"layer {layer + 1}, number {number}: the name {name!r} is too long for the control"
-        )
+        said = f"the name {name!r} is too long for the control"
+        raise SettingsError(f"layer {layer + 1}, number {number}: {said}")
     return name
 
 
 def certificate_of(
     made: MadeLayer, maker: LayerMaker, measured: Mapping[str, Any] | None = None
 ) -> dict[str, Any]:
-    """What is known of a made layer, as its certificate holds it: nothing of the clock, so that it can be made again.
-
-    What was `measured` under it beside its height is kept there, too.
-    """
+    """What is known of a made layer, and was `measured` under it, as its certificate holds it: nothing of the clock."""
     wanted, after, config, part, files = made.wanted, made.after, made.config, maker.part, made.files
     assert after.below is not None
-    suffix = control(config.machine.control).subprogram_suffix
+    # The subprogram is called, or the one file of a control without subprograms.
+    calls = bool(control(config.machine.control).subprogram_suffix) and len(files.names) > 1
     fields = {
         "format": FORMAT,
         "software": __version__,
@@ -92,8 +85,7 @@ def certificate_of(
         "leave_k": after.surface_k,
         "gates": [gate_record(gate) for gate in made.gates],
         "checks": len(made.checks),
-        # The subprogram, or the one file of a control without subprograms.
-        "called": files.names[1] if suffix and len(files.names) > 1 else files.names[0],
+        "called": files.names[calls],
         "files": dict(files.sha256),
         "validated": made.passed,
     }
@@ -116,9 +108,8 @@ def read_certificate(place: Path) -> dict[str, Any]:
     except (OSError, ValueError, TypeError, KeyError):
         raise InputError(f"{place / CERTIFICATE}: is no certificate of a layer") from None
     if found.get("format") != FORMAT:
-        raise InputError(
-            f"{place / CERTIFICATE}: is of the format {found.get('format')!r:.40}, not {FORMAT!r}: make the layer again"
-        )
+        said = f"is of the format {found.get('format')!r:.40}, not {FORMAT!r}: make the layer again"
+        raise InputError(f"{place / CERTIFICATE}: {said}")
     return found
 
 
@@ -127,37 +118,36 @@ def publish(
 ) -> dict[str, Any]:
     """Publish a layer that passed, from the place where it was made, in the folder of the build; the content of ``current.json``.
 
-    `before` is called when the layer lies on disk under its name and is not yet the current one: the journal's entry. Refused is a layer that
-    did not pass, one of which the control would be told what is not so, and files that are not those that were verified.
+    `before` is called when it lies on disk under its name and is not yet the current one. Refused is one that did not pass, one of which
+    the control would be told what is not so, and files that are not those that were verified.
     """
+    layer = f"layer {made.wanted.layer + 1}"
     if not made.passed:
-        raise InputError(
-            f"layer {made.wanted.layer + 1}: is not validated and cannot be published: {made.why}"
-        )
+        raise InputError(f"{layer}: is not validated and cannot be published: {made.why}")
     staged = made.files.folder.parent
     (staged / SETTINGS).write_text(values_as_toml(made.config), encoding="utf-8")
     (staged / CERTIFICATE).write_text(json_text(certificate), encoding="utf-8")
-    for name, wanted in made.files.sha256.items():
-        _check_hash(made.files.folder / name, wanted)
-    _sync(staged)
+    _check_hashes(made.files.folder, made.files.sha256)
+    for path in sorted(staged.rglob("*")):
+        if path.is_file():
+            with path.open("rb") as file:
+                os.fsync(file.fileno())
+    for path in [*sorted(p for p in staged.rglob("*") if p.is_dir()), staged]:
+        _sync_folder(path)
     target = folder / LAYERS / made.wanted.name
     target.parent.mkdir(parents=True, exist_ok=True)
-    fresh = not target.exists()
-    if not fresh:
-        for name, wanted in made.files.sha256.items():
-            _check_hash(target / PROGRAM / name, wanted)
-        shutil.rmtree(staged)
-    else:
+    if fresh := not target.exists():
         os.rename(staged, target)
+    else:
+        _check_hashes(target / PROGRAM, made.files.sha256)
+        shutil.rmtree(staged)
     _sync_folder(target.parent)
     current = current_of(certificate)
     wrong = current_off(target / PROGRAM, folder / str(current["program"]), current, certificate)
     if wrong:
         if fresh:
             shutil.rmtree(target)
-        raise InputError(
-            f"layer {made.wanted.layer + 1}: the control would be told another {', '.join(wrong)}"
-        )
+        raise InputError(f"{layer}: the control would be told another {', '.join(wrong)}")
     before()
     write_synced(folder / CURRENT, json_text(current))
     return current
@@ -181,10 +171,7 @@ def current_off(
 
 
 def ended_early(height_mm: float, at_mm: float, config: Config) -> str:
-    """Why a build that is said to be done at a height is not; empty where it is.
-
-    What is left may be no layer any more: less than the process can lay, by `process.layer_over_bead` and the least speed of the wire.
-    """
+    """Why a build that is said to be done at a height is not; empty where what is left is less than the process can lay."""
     process = config.process
     wire_mm3_s = process.wire_speed_min_mm_s * math.pi * process.wire_diameter_mm**2 / 4.0
     by_wire_mm = wire_mm3_s / (process.travel_speed_mm_s * process.bead_width_mm * process.bead_spacing)
@@ -196,10 +183,8 @@ def ended_early(height_mm: float, at_mm: float, config: Config) -> str:
 
 def read_current(folder: Path) -> dict[str, Any] | None:
     """Return the layer that is to be called next; None before there is one."""
-    try:
-        found: dict[str, Any] = json.loads((folder / CURRENT).read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        return None
+    path = folder / CURRENT
+    found: dict[str, Any] | None = json.loads(path.read_text(encoding="utf-8")) if path.exists() else None
     return found
 
 
@@ -214,19 +199,12 @@ def write_synced(path: Path, text: str) -> None:
     _sync_folder(path.parent)
 
 
-def _check_hash(path: Path, wanted: str) -> None:
-    found = sha256_of_file(path) if path.is_file() else "no file"
-    if found != wanted:
-        raise SettingsError(f"{path}: is not the file that was verified ({found[:12]}, not {wanted[:12]})")
-
-
-def _sync(folder: Path) -> None:
-    for path in sorted(folder.rglob("*")):
-        if path.is_file():
-            with path.open("rb") as file:
-                os.fsync(file.fileno())
-    for path in [*sorted(p for p in folder.rglob("*") if p.is_dir()), folder]:
-        _sync_folder(path)
+def _check_hashes(folder: Path, files: Mapping[str, str]) -> None:
+    for path, wanted in ((folder / name, sha256) for name, sha256 in files.items()):
+        found = sha256_of_file(path) if path.is_file() else "no file"
+        if found != wanted:
+            hashes = f"{found[:12]}, not {wanted[:12]}"
+            raise SettingsError(f"{path}: is not the file that was verified ({hashes})")
 
 
 def _sync_folder(folder: Path) -> None:
@@ -236,8 +214,6 @@ def _sync_folder(folder: Path) -> None:
     finally:
         os.close(descriptor)
 
-
-# -- the journal -----------------------------------------------------------------------------------
 
 JOURNAL_FORMAT = "ebamcheck journal 2"  # counts layers from 1; journals without a format counted from 0
 FIRST = "0" * 64  # in place of a hash in the first line
@@ -254,25 +230,23 @@ class Journal(AbstractContextManager["Journal"]):
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             self._file.close()
-            raise SettingsError(
-                f"{path}: another `ebamcheck live` writes to it: end that one first"
-            ) from None
+            said = "another `ebamcheck live` writes to it: end that one first"
+            raise SettingsError(f"{path}: {said}") from None
         try:
             self._last, whole, self.lines = FIRST, 0, 0
             for line, _ in _lines(path):
-                self._last, whole, self.lines = _hash(line), whole + len(line), self.lines + 1
+                self._last = hashlib.sha256(line).hexdigest()
+                whole, self.lines = whole + len(line), self.lines + 1
             self._file.truncate(whole)
         except BaseException:
             self._file.close()
             raise
 
     def __exit__(self, *_: object) -> None:
-        """Close the file."""
-        self.close()
-
-    def close(self) -> None:
         """Close the file and let go of the lock."""
         self._file.close()
+
+    close = __exit__
 
     def append(self, entry: Mapping[str, Any]) -> None:
         """Add a line; it is on disk when this returns."""
@@ -281,33 +255,22 @@ class Journal(AbstractContextManager["Journal"]):
         self._file.write(line)
         self._file.flush()
         os.fsync(self._file.fileno())
-        self._last, self.lines = _hash(line), self.lines + 1
+        self._last, self.lines = hashlib.sha256(line).hexdigest(), self.lines + 1
 
 
 def read_journal(path: Path) -> Iterator[dict[str, Any]]:
     """Entries of a journal, from the first; a last line that a kill has cut off is left out, a damaged one raises :class:`InputError`."""
-    for _, entry in _lines(path):
-        yield entry
-
-
-def check_format(first: Mapping[str, Any], path: Path) -> None:
-    """Refuse to go on with a journal of another format, by its first entry."""
-    if first.get("format") != JOURNAL_FORMAT:
-        raise InputError(
-            f"{path}: is of an earlier version of ebamcheck, which counted layers from 0: end that build with it, or give another "
-            "folder with -o"
-        )
+    return (entry for _, entry in _lines(path))
 
 
 def _lines(path: Path) -> Iterator[tuple[bytes, dict[str, Any]]]:
-    last, number = FIRST, 0
+    last = FIRST
     try:
         file = regular_file(path).open("rb")
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from None
     with file:
-        for line in file:
-            number += 1
+        for number, line in enumerate(file, 1):
             if not line.endswith(b"\n"):
                 return
             try:
@@ -316,12 +279,7 @@ def _lines(path: Path) -> Iterator[tuple[bytes, dict[str, Any]]]:
             except (ValueError, KeyError, TypeError):
                 raise InputError(f"{path}:{number}: is no line of a journal") from None
             if after != last:
-                raise InputError(
-                    f"{path}:{number}: does not follow the line before: one was changed or is missing"
-                )
-            last = _hash(line)
+                said = "does not follow the line before: one was changed or is missing"
+                raise InputError(f"{path}:{number}: {said}")
+            last = hashlib.sha256(line).hexdigest()
             yield line, entry
-
-
-def _hash(line: bytes) -> str:
-    return hashlib.sha256(line).hexdigest()

@@ -41,19 +41,16 @@ from ebamcheck.writing.table import tilt_of
 
 @dataclass(frozen=True, eq=False)
 class Relayered:
-    """What came of it: the layer, its certificate, what was said of the heights, and where it lies; None: it was kept back."""
+    """What came of a layer that was made again."""
 
     made: MadeLayer
     certificate: dict[str, Any]
-    said: tuple[str, ...]
-    place: Path | None
+    said: tuple[str, ...]  # of the heights
+    place: Path | None  # where it lies; None: it was kept back
 
 
 def check_below(folder: Path, run: FinishedRun, layer: int, measured_mm: float) -> None:
-    """Refuse a height that the layer below cannot have, by the rule of `live`.
-
-    The newest of the layers below that `relayer` made in the folder stands for that of the run.
-    """
+    """Refuse a height that the layer below, by `relayer` in the folder or by the run, cannot have by the rule of `live`."""
     if layer == 0:
         base_mm, top_mm, by = -float(run.thickness_mm[0]), 0.0, "the base plate"
     else:
@@ -65,17 +62,14 @@ def check_below(folder: Path, run: FinishedRun, layer: int, measured_mm: float) 
     try:
         check_height(Reading(layer, measured_mm), base_mm, top_mm)
     except Refused as fault:
-        raise SettingsError(
-            f"layer {layer + 1}: the measured height {measured_mm:g} mm cannot be: {fault}; what stands is planned to end at {top_mm:.3f} mm by {by}: measure it "
-            "again; where layers below came out otherwise, make each of them by `relayer`, or lead the build by `live`"
-        ) from None
+        said = f"layer {layer + 1}: the measured height {measured_mm:g} mm cannot be: {fault}"
+        plan = f"what stands is planned to end at {top_mm:.3f} mm by {by}: measure it again"
+        how = "where layers below came out otherwise, make each of them by `relayer`, or lead the build by `live`"
+        raise SettingsError(f"{said}; {plan}; {how}") from None
 
 
 def tilted(before: FinishedRun, now: FinishedRun, built_mm: float) -> Config:
-    """Settings of a layer of a part that was built up to a height and is turned by the table; those given where the user turns it.
-
-    Refused is a control without frames, and a direction into which the table cannot turn the part.
-    """
+    """Settings of a layer of a part that was built up to a height and is turned by the table, if that can; those given where the user turns it."""
     config, machine = now.config, now.config.machine
     if not machine.rotary:
         return config
@@ -88,10 +82,8 @@ def tilted(before: FinishedRun, now: FinishedRun, built_mm: float) -> Config:
 
 def _made_before(folder: Path, program: str, layer: int) -> list[Path]:
     """Folders of the layer of that number, the newest last."""
-    places = (
-        folder / publishing.LAYERS / publishing.layer_name(program, layer, number) for number in count(1)
-    )
-    return [*takewhile(Path.exists, places)]
+    names = (publishing.layer_name(program, layer, number) for number in count(1))
+    return [*takewhile(Path.exists, (folder / publishing.LAYERS / name for name in names))]
 
 
 def relayer(
@@ -102,27 +94,21 @@ def relayer(
     folder: Path,
     cells: MapCells | None = None,
 ) -> Relayered:
-    """Make a layer at a measured height, and publish it under a new name in `folder` if every gate is open.
-
-    Of a map, `cells`, of which `measured_mm` is the mean, as much is mended as can be proved.
-    """
+    """Make a layer at a measured height, the mean of a map if there are `cells`, and publish it under a new name if every gate is open."""
     program = maker.config.machine.program_name
     made_folder(folder)
     if (folder / publishing.JOURNAL).is_file():
-        raise SettingsError(
-            f"{folder}: is the folder of a build, whose own layers would come to the same names: give another with -o"
-        )
+        what = "is the folder of a build, whose own layers would come to the same names: give another with -o"
+        raise SettingsError(f"{folder}: {what}")
     plan = height_rule(maker.part, maker.config).plan(measured_mm)
     if not len(plan):
-        said = f": {plan.said[0]}" if plan.said else ""
-        raise SettingsError(
-            f"--measured-z {measured_mm:g}: the part is {maker.height_mm:.3f} mm high, nothing is left to be laid{said}"
-        )
+        left = f"nothing is left to be laid{f': {plan.said[0]}' if plan.said else ''}"
+        what = f"the part is {maker.height_mm:.3f} mm high, {left}"
+        raise SettingsError(f"--measured-z {measured_mm:g}: {what}")
     # As high as it has to be for the rest to end at the part's top.
     name = publishing.layer_name(program, layer, len(_made_before(folder, program, layer)) + 1)
     wanted = Wanted(layer, measured_mm, float(plan.thickness_mm[0]), name)
-    reading = Reading(layer, measured_mm) if cells is None else Reading.of_map(layer, measured_mm, cells)
-    ground = Ground.of(reading, before, maker.config)
+    ground = Ground.of(Reading(layer, measured_mm, cells), before, maker.config)
     for share in ground.mending:
         staged = Path(tempfile.mkdtemp(prefix=".making.", dir=folder))
         try:
@@ -135,9 +121,6 @@ def relayer(
             shutil.rmtree(staged, ignore_errors=True)
     (folder / f"{wanted.name}.refused.json").write_text(json_text(certificate), encoding="utf-8")
     return Relayered(made, certificate, plan.said, None)
-
-
-# -- the finished run ------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,10 +154,9 @@ class FinishedRun:
         return PlanOfLayers.from_parquet(self.folder.path / "scan.parquet")
 
     def before(self, layer: int) -> Before:
-        """What stands under the layer of that index, laid as the run planned it: heat by the balance alone, sums where it has a table.
+        """What stands under the layer of that index, as the run planned it: sums where it has a table, heat by the balance alone.
 
-        What differs across a section decays while the next layer is laid; the mean stays. An order that begins on it knows
-        the mean of the whole body, and what differs from the layer on which it works.
+        What differs across a section decays while the next layer is laid; the mean stays.
         """
         found = Before(PartHeat(self._column_under(layer)))
         table = self.folder.path / "deposit.csv"
@@ -195,8 +177,7 @@ class FinishedRun:
         # With the beam off: travel, and the waits within the layer.
         off_s = (table["travel_s"] + np.maximum(table["wait_s"] - wait_s, 0.0)).to_numpy()
         full_w = config.process.power_w * config.material.absorptivity
-        none = np.zeros(len(wait_s))
-        scans = plan.metrics["preheat_passes"].to_numpy() if "preheat_passes" in plan.metrics else none
+        scans = plan.metrics.get("preheat_passes", pd.Series(np.zeros(len(wait_s)))).to_numpy()
         sections, z_mm = list(plan.sections), np.concatenate([[0.0], np.cumsum(thickness_mm)])
         for k in range(layer):
             shape = LayerShape.of(plan.sections[k], float(thickness_mm[k]))

@@ -1,7 +1,6 @@
 """A build checked after the fact: its journal, the files that it published, and each layer from its text, part and settings alone.
 
-Heat and metal of each layer are followed on those below it, by the wait that is told; the server does the same before a release. Heat that was
-measured, or put in by a scan, and a surface that was measured are not in the texts: above a layer that has such, nothing is said.
+Heat and metal are followed from the plate up; above a layer whose heat or surface was measured, or that a scan preheats, nothing is said.
 """
 
 from __future__ import annotations
@@ -22,24 +21,10 @@ from ebamcheck.checks.interpass_checks import sections_of_text, text_beads, with
 from ebamcheck.checks.mesh_checks import layer_check
 from ebamcheck.errors import EbamcheckError, InputError
 from ebamcheck.json_values import json_text, sha256_of_file, sha256_of_json
-from ebamcheck.kernels import Floats
 from ebamcheck.layers.heights import cut_heights
+from ebamcheck.live import publishing
 from ebamcheck.live.before import Before, metal_checks
-from ebamcheck.live.publishing import (
-    CERTIFICATE,
-    CURRENT,
-    JOURNAL,
-    LAYERS,
-    PROGRAM,
-    SETTINGS,
-    current_of,
-    current_off,
-    ended_early,
-    read_certificate,
-    read_current,
-    read_journal,
-    write_synced,
-)
+from ebamcheck.live.publishing import CERTIFICATE, CURRENT, JOURNAL, LAYERS, PROGRAM, SETTINGS, ended_early
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.part_source import read_part
 from ebamcheck.nc.roles import by_height, by_shape
@@ -51,18 +36,15 @@ from ebamcheck.slicers.slicing import slice_part
 from ebamcheck.verification.verify import verify
 
 VERIFIED = "verified.json"  # what was found, in the folder of the build
-FEWEST_CHECKS = 40  # a program that was read at all has more checks than these
-SAME_MM = 1e-6  # heights nearer than this are the same number
 
 
 @dataclass(frozen=True)
 class Due:
-    """What the journal asks of a layer: its index, from 0, the height that was measured below it, and the wait before it."""
+    """What the journal asks of a layer."""
 
-    layer: int
-    base_mm: float
-    wait_s: float | None
-    """Least time between the last bead below it and its first one; None where the journal is of an earlier version."""
+    layer: int  # its index, from 0
+    base_mm: float  # height that was measured below it
+    wait_s: float | None  # between the last bead below it and its first one; None: by an earlier version
 
 
 @dataclass(frozen=True)
@@ -104,28 +86,21 @@ def verify_build(
         # What is wrong by itself tells nothing of the layers above.
         known = known and layer.passed
         if known:
-            layer = replace(layer, why=_wrong_together(folder / LAYERS / layer.name, heat, metal))
+            place = folder / LAYERS / name
+            files_of_it = place / PROGRAM, publishing.read_certificate(place), load_config(place / SETTINGS)
+            warm = heat.too_warm(*files_of_it)
+            heat.take()
+            layer = replace(layer, why="; ".join(filter(None, (metal.wrong_with(*files_of_it), warm))))
         if build and layer.passed and number == len(layers):
             layer = replace(layer, why=_not_current(folder, name) or _ended_early(folder, name, part))
         found.append(layer)
         told(layer)
-    write_synced(folder / VERIFIED, json_text([asdict(layer) for layer in found]))
+    publishing.write_synced(folder / VERIFIED, json_text([asdict(layer) for layer in found]))
     return found
 
 
-def _wrong_together(place: Path, heat: FollowedLayers, metal: FollowedMetal) -> str:
-    """What is wrong with one more layer on those below, as far up as their texts tell it; empty where nothing is."""
-    program, paper, config = place / PROGRAM, read_certificate(place), load_config(place / SETTINGS)
-    warm = heat.too_warm(program, paper, config)
-    heat.take()
-    return "; ".join(said for said in (metal.wrong_with(program, paper, config), warm) if said)
-
-
 def _published(folder: Path) -> Iterator[tuple[str, dict[str, str], Due | None]]:
-    """Name and hashes of the published layers, in order, and what the journal asks of each; the journal is checked line by line.
-
-    Where there is no build, nothing is asked: the certificates have the hashes of the files, too.
-    """
+    """Name and hashes of the published layers, in order, and what the journal asks of each; where there is no build, by the certificates."""
     if not is_build(folder):
         for path in sorted((folder / LAYERS).glob(f"*/{CERTIFICATE}")):
             try:
@@ -135,7 +110,7 @@ def _published(folder: Path) -> Iterator[tuple[str, dict[str, str], Due | None]]
                 raise InputError(f"{path}: is no certificate of a layer") from None
         return
     layer, base_mm = 0, math.nan
-    for entry in read_journal(folder / JOURNAL):
+    for entry in publishing.read_journal(folder / JOURNAL):
         if entry.get("kind") == "height":
             # A height of another layer is none that this one was laid on.
             base_mm = float(entry["height_mm"]) if entry.get("done") == layer else math.nan
@@ -155,7 +130,7 @@ def _verified(
             return VerifiedLayer(name, 0, f"{path}: is not the file that {told_by} names", files), spent
     try:
         config = load_config(place / SETTINGS)
-        if why := _other_than(read_certificate(place), name, files, due, config, part):
+        if why := _other_than(publishing.read_certificate(place), name, files, due, config, part):
             return VerifiedLayer(name, 0, why, files), spent
         checks = verify(place / PROGRAM, part, config)
         # Of the lowest layer the settings alone do not ask that it is cut where it comes to lie.
@@ -165,7 +140,7 @@ def _verified(
     except EbamcheckError as error:
         return VerifiedLayer(name, 0, str(error), files), spent
     wrong = [check.in_words() for check in checks if not check.passed]
-    if len(checks) < FEWEST_CHECKS and not wrong:
+    if len(checks) < 40 and not wrong:  # a program that was read at all has more
         wrong = [f"{len(checks)} checks alone could be made"]
     lasts, spent = lasting(checks, config, spent)
     wrong += [check.in_words() for check in lasts if not check.passed]
@@ -175,10 +150,7 @@ def _verified(
 def _other_than(
     paper: dict[str, Any], name: str, files: dict[str, str], due: Due | None, config: Config, part: Path
 ) -> str:
-    """What certificate, settings, journal and part do not have in common; empty where all tell of the same layer.
-
-    If settings or height differ from those published, checking the text against them proves nothing.
-    """
+    """What certificate, settings, journal and part do not have in common: by others than those published, checks prove nothing."""
     wanted: tuple[tuple[str, object, object], ...] = (
         ("name", paper.get("name"), name),
         *((("number of the layer", paper["layer"], due.layer + 1),) if due else ()),
@@ -193,30 +165,27 @@ def _other_than(
             return f"{CERTIFICATE}: {what}: {said!s:.60}, in place of {is_so!s:.60}"
     heights = [("its settings", config.base_mm), *([("the journal", due.base_mm)] if due else [])]
     for where, base_mm in heights:
-        if not abs(paper["base_mm"] - base_mm) <= SAME_MM:
+        if not abs(paper["base_mm"] - base_mm) <= 1e-6:
             return f"{CERTIFICATE}: lies on {paper['base_mm']:.6g} mm, by {where} on {base_mm:.6g} mm"
     return ""
 
 
 def _not_current(folder: Path, name: str) -> str:
-    """Why the layer that is to be called next is not the one that was published last; empty where it is.
-
-    Each value is held against certificate and file by itself: what writes them takes them from one place.
-    """
+    """Why the layer that is to be called next is not the one that was published last, by certificate and file; empty where it is."""
     try:
-        current = read_current(folder) or {}
+        current = publishing.read_current(folder) or {}
     except ValueError:
         return f"{CURRENT}: cannot be read"
-    place, paper = folder / LAYERS / name, read_certificate(folder / LAYERS / name)
-    wrong = current_off(place / PROGRAM, folder / str(current.get("program")), current, paper)
-    if wrong or current != current_of(paper):
+    place, paper = folder / LAYERS / name, publishing.read_certificate(folder / LAYERS / name)
+    wrong = publishing.current_off(place / PROGRAM, folder / str(current.get("program")), current, paper)
+    if wrong or current != publishing.current_of(paper):
         return f"{CURRENT}: is not that of {name}, the layer that was published last: {', '.join(wrong) or 'values'}"
     return ""
 
 
 def _ended_early(folder: Path, name: str, file: Path) -> str:
     """Why a build that is said to be done is not; empty where it is, or goes on."""
-    ends = [entry for entry in read_journal(folder / JOURNAL) if entry.get("kind") == "done"]
+    ends = [entry for entry in publishing.read_journal(folder / JOURNAL) if entry.get("kind") == "done"]
     if not ends:
         return ""
     config = load_config(folder / LAYERS / name / SETTINGS)
@@ -226,54 +195,37 @@ def _ended_early(folder: Path, name: str, file: Path) -> str:
 
 def read_verified(folder: Path) -> dict[str, VerifiedLayer]:
     """What was found before, by name, of layers whose files are still those; nothing where nobody has verified."""
-    try:
-        rows = json.loads((folder / VERIFIED).read_text(encoding="utf-8"))
-        found = {str(row["name"]): VerifiedLayer(**row) for row in rows}
-    except FileNotFoundError:
+    path = folder / VERIFIED
+    if not path.exists():
         return {}
+    try:
+        rows = json.loads(path.read_text(encoding="utf-8"))
+        return {str(row["name"]): VerifiedLayer(**row) for row in rows}
     except (ValueError, TypeError, KeyError):
-        raise InputError(f"{folder / VERIFIED}: is not what `ebamcheck verify` writes") from None
-    return found
+        raise InputError(f"{path}: is not what `ebamcheck verify` writes") from None
 
 
-# -- heat and metal of a build, followed by its texts ----------------------------------------------
-
-SAME = 1e-3  # share by which sums may differ: far less for another slicer, far more without a layer
-
-
-@dataclass(frozen=True, eq=False)
-class LayerText:
-    """What the text of one layer says of its heat: section, height, settings, and of each bead (P,) the time with the beam off before it, its
-    own time, s, and the heat that the part takes up, J."""
-
-    section: BaseGeometry
-    height_mm: float
-    config: Config
-    off_s: Floats
-    time_s: Floats
-    heat_j: Floats
-
-
-def layer_text(program: Path, paper: Mapping[str, Any], config: Config) -> LayerText | None:
-    """Read one layer, whose certificate tells the wait before it; None where its text does not say how warm it makes the part.
+def layer_text(
+    program: Path, paper: Mapping[str, Any], config: Config
+) -> tuple[BeadHeat, BaseGeometry] | None:
+    """Heat and section of one layer, whose certificate tells the wait before it; None where its text does not say how warm it makes the part.
 
     A text that cannot be read says nothing, and one that preheats has its temperatures judged where it is made.
     """
-    height_mm, wait_s = config.layer_height_mm, paper.get("wait_s")
+    wait_s = paper.get("wait_s")
     if not isinstance(wait_s, int | float) or "temperature" in paper:
         return None
     text, _ = read_checked(program, config)
     if text is None:
         return None
-    text = by_shape(by_height(text, np.array([config.base_mm + height_mm])))
+    text = by_shape(by_height(text, np.array([config.base_mm + config.layer_height_mm])))
     beads = text_beads(text, config)
     if beads.scans or not len(beads):
         return None
-    off_s = beads.move_s + beads.wait_s
+    off_s, heat_j = beads.move_s + beads.wait_s, beads.energy_j * config.material.absorptivity
     off_s[0] += wait_s
-    section = sections_of_text(text, config, None)[0]
-    heat_j = beads.energy_j * config.material.absorptivity
-    return LayerText(section, height_mm, config, off_s, beads.time_s, heat_j)
+    heat = BeadHeat(np.zeros(off_s.size, np.int64), off_s, beads.time_s, heat_j)
+    return heat, sections_of_text(text, config, None)[0]
 
 
 class FollowedLayers:
@@ -290,14 +242,13 @@ class FollowedLayers:
         self._after = None
         if text is None:
             return ""
-        beads = BeadHeat(np.zeros(text.off_s.size, np.int64), text.off_s, text.time_s, text.heat_j)
-        below = self._heat or FollowedHeat(text.config)
-        bed_k, self._after = below.with_layer(beads, text.section, text.height_mm)
-        entered_k = float(bed_k[0] if text.config.process.interpass_at == "layer" else bed_k.max())
-        most_k = highest_entry_k(text.config) + may_differ_k(text.config)
+        below = self._heat or FollowedHeat(config)
+        bed_k, self._after = below.with_layer(*text, config.layer_height_mm)
+        entered_k = float(bed_k[0] if config.process.interpass_at == "layer" else bed_k.max())
+        most_k = highest_entry_k(config) + may_differ_k(config)
         if entered_k <= most_k:
             return ""
-        said_k, mark = within_range(entered_k, text.config)
+        said_k, mark = within_range(entered_k, config)
         return f"heat over all layers: a bead of it is entered at {said_k:.0f} K{mark} by the texts so far; the limit is {most_k:.0f} K"
 
     def take(self) -> None:
@@ -315,21 +266,17 @@ class FollowedMetal:
 
     def wrong_with(self, program: Path, paper: Mapping[str, Any], config: Config) -> str:
         """Lay one more layer; what is wrong with it, empty where nothing is."""
-        said = self._laid(program, paper, config) if self._known else None
-        self._known = said is not None
-        return said or ""
-
-    def _laid(self, program: Path, paper: Mapping[str, Any], config: Config) -> str | None:
-        """What is wrong with one more layer; None where what lies above cannot be told."""
-        text, _ = read_checked(program, config)
+        known, self._known = self._known, False  # what lies above this cannot be told, unless this is laid
+        text, _ = read_checked(program, config) if known else (None, None)
         if text is None or "height_map" in paper:
-            return None
+            return ""
         part = self._placed = self._placed or read_part(self._file, config.part)[0]
         try:
             section = slice_part(part, cut_heights(part, config), witness_backend(str(paper["primary"])))
             told = paper["metal_so_far"]
         except (EbamcheckError, KeyError, TypeError, ValueError):
-            return None
+            return ""
+        self._known = True
         before = self._before or Before.plate(part, config)
         text = by_height(text, np.array([config.base_mm + config.layer_height_mm]))
         checks, self._before = metal_checks(text, section, before.measured(), config)
@@ -341,11 +288,9 @@ class FollowedMetal:
 
 
 def _same(told: Any, worked_out: dict[str, Any]) -> bool:
-    """Whether sums over layers, as a certificate has them, are those worked out."""
+    """Whether sums over layers, as a certificate has them, are those worked out: far nearer than with a layer less, less so by another slicer."""
     try:
-        pairs = [
-            (np.asarray(told[name], np.float64), np.asarray(value)) for name, value in worked_out.items()
-        ]
-        return all(np.allclose(said, found, rtol=SAME, atol=SAME) for said, found in pairs)
+        pairs = ((np.asarray(told[name], np.float64), value) for name, value in worked_out.items())
+        return all(np.allclose(said, np.asarray(found), rtol=1e-3, atol=1e-3) for said, found in pairs)
     except (KeyError, TypeError, ValueError):
         return False

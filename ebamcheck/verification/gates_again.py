@@ -1,19 +1,17 @@
-"""Every gate of a finished run, worked out again from part, settings and the program's text.
+"""Every gate of a finished run, worked out again from part, settings and the program's text; nothing that the run recorded is believed.
 
-Nothing that the run recorded is believed: the part is inspected and sliced anew, by another exact slicer than the one
-whose contours became the program; curves are fitted anew; and the text is laid, heated and measured against these.
+The part is sliced anew, by another exact slicer than the one whose contours became the program, and the text is laid over these sections.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-import pandas as pd
 
 from ebamcheck.checks.interpass_checks import AGAIN, COLD
 from ebamcheck.checks.matching import matched
@@ -33,20 +31,13 @@ from ebamcheck.mesh.inspection import inspect
 from ebamcheck.mesh.part import Part
 from ebamcheck.nc.inputs import deposition_heights
 from ebamcheck.pipeline import gates
+from ebamcheck.pipeline import tables as follow
 from ebamcheck.pipeline.cross_check import compared_layers, witness_backend
 from ebamcheck.pipeline.entry_program import NAME as HANDSHAKE
 from ebamcheck.pipeline.entry_program import checked_again, live_checked_again
 from ebamcheck.pipeline.findings import metal_findings, narrow_findings, part_findings, profile_findings
-from ebamcheck.pipeline.fit import FitVerdict, fitted
+from ebamcheck.pipeline.fit import fitted
 from ebamcheck.pipeline.stages import judged_program, smooth_sections
-from ebamcheck.pipeline.tables import (
-    Table,
-    sums_of,
-    tables_of_comparison,
-    tables_of_metal,
-    tables_of_plan,
-    tables_of_program,
-)
 from ebamcheck.plugins import registry
 from ebamcheck.program import verify_program
 from ebamcheck.program.verification import read_checked
@@ -62,17 +53,9 @@ from ebamcheck.writing.bead_ends import planned_path
 
 # Figures that differ by less, relative to the greater or to 1, are the same: sums in another order.
 SAME_FIGURE = 1e-6
-# Points cut by one slicer twice, on another processor: far under what two slicers may differ by.
-SAME_POINT_MM = 1e-6
-COVERAGE = "coverage"  # The gate that the text can shut where the plan alone leaves it open
-PROGRAM = "program"  # The gate whose figure counts checks, of which more are made here than in a run
 # Checks that are made here and not by a run, which has its plan to compare with, or not by a run of an earlier version.
-OF_TEXT_ALONE = {
-    *("readable", "entry", HANDSHAKE),
-    *(name for rule in RULES if {"beads", "part"} & {*rule.needs} for name in rule.checks),
-    # Not by runs of an earlier version.
-    *(AGAIN, COLD),
-}
+OF_TEXT_ALONE = {"readable", "entry", HANDSHAKE, AGAIN, COLD}
+OF_TEXT_ALONE |= {name for rule in RULES if {"beads", "part"} & {*rule.needs} for name in rule.checks}
 
 
 @dataclass(frozen=True)
@@ -99,7 +82,13 @@ def work_again(run: RunFolder, manifest: Mapping[str, Any], config: Config, part
     sound = inspect(part)
     agreement, comparison = _agreement(run, manifest, config, part, fresh, witness)
     agrees = comparison.passed
-    tables, why_not = _tables(manifest, comparison)
+    tables: dict[str, follow.Table] = {**follow.tables_of_comparison(comparison)}
+    why_not: dict[str, str] = {}
+    if {name for name, found in manifest["backends"].items() if found["status"] == "done"} != set(
+        comparison.stacks
+    ):
+        why_not = dict.fromkeys(tables, "not all slicers of the run are the ones that are here")
+        tables = {}
     exchanged = exchanged_layers(run, manifest, fresh, witness)
     off = gates.volume_off(part, np.asarray(heights), fresh.areas(), config) if sound.passed else ""
     made = [gates.input_gate(sound, off), agreement]
@@ -108,14 +97,23 @@ def work_again(run: RunFolder, manifest: Mapping[str, Any], config: Config, part
     if record is None:
         of_run = tables_check(run, manifest, tables, why_not)
         return Again(witness, tuple(made), agrees, tuple(told), exchanged=exchanged, tables=of_run)
-    verdict, tables["fit.csv"] = _fitted(run, manifest, config, part)
+    primary = str(manifest["primary"])
+    settings = {primary: registry.slicer_settings(primary, config.slicing.settings.get(primary, {}))}
+    bound_mm, _ = declared_bounds(part, settings)[primary]
+    verdict, tables["fit.csv"] = fitted(run.read_layers(primary), part, config, bound_mm)
     tables["curves.parquet"] = verdict.curves
     smooth = smooth_sections(verdict.curves, config)
     checks, plan, of_text, narrow = text_again(run, manifest, config, part, fresh, smooth)
     z_of = deposition_heights(np.asarray(heights), config.layer_height_mm, config.base_mm)
     main = run.program_folder / record["files"][0]["name"]
     judging = judged_program(verdict, checks, plan.metrics, config)
-    made += [_coverage(checks, gate) if gate.name == COVERAGE else gate for gate in judging]
+    # The text can shut the gate of coverage where the plan alone leaves it open.
+    bare = next((check for check in checks if check.name == "coverage"), None)
+    for gate in judging:
+        if gate.name == "coverage" and (bare is None or not bare.passed):
+            said = f"by the text: {bare.text}" if bare else "the program cannot be read"
+            gate = replace(gate, passed=False, text=said)
+        made.append(gate)
     entry = checked_again(run.path, record, main, z_of, config)
     made += [gates.entry_gate(check) for check in entry]
     checks += entry
@@ -130,18 +128,9 @@ def work_again(run: RunFolder, manifest: Mapping[str, Any], config: Config, part
     figures = {
         "part.inspection": sound.as_dict(),
         "heat": {"limit_k": entry_limit_k(config)},
-        **sums_of(tables),
+        **follow.sums_of(tables),
     }
     return Again(witness, tuple(made), agrees, tuple(told), tuple(checks), exchanged, of_run, figures)
-
-
-def _tables(manifest: Mapping[str, Any], comparison: Comparison) -> tuple[dict[str, Table], dict[str, str]]:
-    """Tables of the comparison, if the slicers are those of the run; else why not, by file."""
-    done = {name for name, found in manifest["backends"].items() if found["status"] == "done"}
-    found: dict[str, Table] = {**tables_of_comparison(comparison)}
-    if done == set(comparison.stacks):
-        return found, {}
-    return {}, dict.fromkeys(found, "not all slicers of the run are the ones that are here")
 
 
 def exchanged_layers(
@@ -149,22 +138,17 @@ def exchanged_layers(
 ) -> tuple[str, ...]:
     """Slicers whose recorded layers name another, and the witness where its layers are not those that it cuts now.
 
-    On plane parts exact slicers agree to the last digits, so that distances show no exchange: what the file says of itself, and
-    every coordinate, do.
+    On plane parts exact slicers agree to the last digits, so that distances show no exchange.
     """
-    found = []
-    for name, outcome in manifest["backends"].items():
-        if outcome["status"] != "done":
-            continue
-        recorded = run.read_layers(name)
-        same = recorded.backend == name
-        if same and name == witness:
-            same = recorded.points.shape == fresh.points.shape and np.array_equal(
-                recorded.ring_starts, fresh.ring_starts
-            )
-            same = same and bool((np.abs(recorded.points - fresh.points) <= SAME_POINT_MM).all())
-        if not same:
-            found.append(name)
+    done = {name: run.read_layers(name) for name, o in manifest["backends"].items() if o["status"] == "done"}
+    found = [name for name, recorded in done.items() if recorded.backend != name]
+    if (known := done.get(witness)) is not None and witness not in found:
+        same = known.points.shape == fresh.points.shape and np.array_equal(
+            known.ring_starts, fresh.ring_starts
+        )
+        # On another processor: far under what two slicers may differ by.
+        if not same or not (np.abs(known.points - fresh.points) <= 1e-6).all():
+            found.append(witness)
     return tuple(found)
 
 
@@ -175,45 +159,21 @@ def _agreement(
     outcomes: dict[str, Outcome] = {}
     with ExitStack() as opened:
         stacks: dict[str, LayerSource] = {}
-        order = order_of(run)
-        backends, place = manifest["backends"], {name: k for k, name in enumerate(order)}
+        backends, place = manifest["backends"], {name: k for k, name in enumerate(order_of(run))}
         for name in sorted(backends, key=lambda name: place.get(name, -1)):
             found = backends[name]
             if found["status"] != "done":
                 outcomes[name] = Outcome(name, found["status"], found["why"])
             elif name == witness or name in registry.slicers():
-                file = run.layers_file(name)
-                outcomes[name] = Outcome(name, file=file)
-                recorded = None if name == witness else LayerFile(file, edges=False)
-                stacks[name] = fresh if recorded is None else opened.enter_context(recorded)
+                outcomes[name] = Outcome(name, file=(file := run.layers_file(name)))
+                recorded = LayerFile(file, edges=False) if name != witness else None
+                stacks[name] = opened.enter_context(recorded) if recorded else fresh
         outcomes.setdefault(witness, Outcome(witness, file=run.layers_file(witness)))
         stacks.setdefault(witness, fresh)
         settings = {n: registry.slicer_settings(n, config.slicing.settings.get(n, {})) for n in stacks}
         comparison = compared_layers(stacks, part, declared_bounds(part, settings), config)
     gate = gates.agreement_gate(comparison, outcomes, len(fresh), config.layer_height_mm, config.base_mm)
     return gate, comparison
-
-
-def _fitted(
-    run: RunFolder, manifest: Mapping[str, Any], config: Config, part: Part
-) -> tuple[FitVerdict, pd.DataFrame]:
-    """Fit the contours of the primary slicer anew, as the run did, and judge the fit."""
-    primary = str(manifest["primary"])
-    settings = registry.slicer_settings(primary, config.slicing.settings.get(primary, {}))
-    bound_mm, _ = declared_bounds(part, {primary: settings})[primary]
-    layers = run.read_layers(primary)
-    return fitted(layers, part, config, bound_mm)
-
-
-def _coverage(checks: Sequence[Check], planned: Check) -> Check:
-    """Coverage by the plan, and shut, too, where the text leaves something bare or cannot be read."""
-    found = next((check for check in checks if check.name == "coverage"), None)
-    if found is None:
-        return replace(planned, passed=False, text="the program cannot be read")
-    return planned if found.passed else replace(planned, passed=False, text=f"by the text: {found.text}")
-
-
-# -- against the record ------------------------------------------------------------------------------
 
 
 def compared(again: Again, manifest: Mapping[str, Any]) -> list[Check]:
@@ -223,8 +183,7 @@ def compared(again: Again, manifest: Mapping[str, Any]) -> list[Check]:
     unknown = sorted(set(recorded) - {gate.name for gate in again.gates})
     why = "the record has a gate that this version does not know"
     checks += [Check.fault(f"gate {name}", "run.json", why) for name in unknown]
-    record = manifest.get("program")
-    if record is not None:
+    if (record := manifest.get("program")) is not None:
         checks += [_figures(again, record), _verdict(again, manifest)]
     return [*checks, _record(again, manifest)]
 
@@ -281,7 +240,7 @@ def _gate_check(gate: Check, recorded: Mapping[str, Any] | None) -> Check:
     elif bool(recorded["passed"]) != gate.passed:
         said = "passed" if recorded["passed"] else "shut"
         told = f"recorded as {said}, found {'open' if gate.passed else 'shut'}: {gate.text}"
-    elif gate.name != PROGRAM and not _same_figures(recorded, "figure", gate):
+    elif gate.name != "program" and not _same_figures(recorded, "figure", gate):
         said = f"{recorded['figure']} of {recorded['limit']}"
         told = f"recorded as {said}, found {gate.value:g} of {gate.limit:g}: {gate.text}"
     gate = replace(gate, name=f"gate {gate.name}")
@@ -298,12 +257,9 @@ def _figures(again: Again, record: Mapping[str, Any]) -> Check:
     for c in record["checks"]:
         check, value = found.get(c["name"]), c["value"]
         if check is None or bool(c["passed"]) != check.passed or not _same_figures(c, "value", check):
-            known = check is not None and isinstance(value, float)
-            said = (
-                f"recorded {value:g}, found {check.value:g}"
-                if known and check
-                else f"recorded as {value}, not found"
-            )
+            said = f"recorded as {value}, not found"
+            if check is not None and isinstance(value, float):
+                said = f"recorded {value:g}, found {check.value:g}"
             differ.append(f"{c['name']}: {said}")
     recorded = {c["name"] for c in record["checks"]}
     differ += [f"{name}: not in the record" for name in found if name not in recorded | OF_TEXT_ALONE]
@@ -332,30 +288,21 @@ def _verdict(again: Again, manifest: Mapping[str, Any]) -> Check:
     return Check("verdict", said == found, float(said != found), 0.0, "faults", "run.json", text)
 
 
-class TextAgain(NamedTuple):
-    """What the text of a run's program came to."""
-
-    checks: list[Check]
-    plan: ScanPlan
-    tables: dict[str, Table]  # Tables of plan and text; of the plan alone where the text cannot be read
-    narrow: tuple[NarrowFeature, ...] = ()  # Features of the part that are narrower than beads can build
-
-
 def text_again(
     run: RunFolder, manifest: Mapping[str, Any], config: Config, part: Part, fresh: Layers, smooth: Layers | None,
-) -> TextAgain:  # fmt: skip
-    """Read, lay and check the text of a run's program over sections of the part that were cut anew.
+) -> tuple[list[Check], ScanPlan, dict[str, follow.Table], tuple[NarrowFeature, ...]]:  # fmt: skip
+    """Read, lay and check the text of a run's program over sections, and `smooth` contours, of the part that were made anew.
 
-    `smooth` are the fitted contours with their curves, fitted anew; None where the method of the fit makes none.
+    Returns checks, plan, tables of plan and text as far as it can be read, and features that are narrower than beads can build.
     """
     record = manifest["program"]
     plan = ScanPlan.from_parquet(run.path / "scan.parquet")
     beads = Curves.from_parquet(run.path / "beads.parquet")
     path = planned_path(beads, plan, config)
-    tables: dict[str, Table] = {**tables_of_plan(path, plan, config)}
+    tables: dict[str, follow.Table] = {**follow.tables_of_plan(path, plan, config)}
     nc, readable = read_checked(run.program_folder / record["files"][0]["name"], config)
     if nc is None:
-        return TextAgain([readable], plan, tables)
+        return [readable], plan, tables, ()
     nc, match = matched(nc, path)
     z_of = deposition_heights(fresh.heights, config.layer_height_mm, config.base_mm)
     laid = deposit(nc, fresh, z_of, config, asked=True)
@@ -364,15 +311,12 @@ def text_again(
         nc, config=config, curves=beads, plan=plan, match=match, part=part, layers=fresh, smooth=smooth, beads=True, metal=True,
         laid=lambda: laid, heat=True, heights=fresh.heights, sha256=hashes, truth=truth_of(manifest),
     )  # fmt: skip
-    tables |= tables_of_program(nc, run.read_layers(str(manifest["primary"])), config)
-    tables |= tables_of_metal(laid, z_of, config.base_mm)
-    return TextAgain([readable, *checks], plan, tables, laid.narrow)
+    tables |= follow.tables_of_program(nc, run.read_layers(str(manifest["primary"])), config)
+    tables |= follow.tables_of_metal(laid, z_of, config.base_mm)
+    return [readable, *checks], plan, tables, laid.narrow
 
 
 def truth_of(manifest: Mapping[str, Any]) -> Truth:
-    """What a run's record tells of its program, against which the program's header is held.
-
-    The settings are those that were recorded: a version that has more of them still reads the program of one that had fewer.
-    """
+    """What a run's record tells of its program, against which its header is held, by the settings as recorded: a version may have more."""
     validated = bool(manifest["program"]["validated"])
     return Truth(validated, manifest["part"]["sha256"], sha256_of_json(manifest["settings"]))

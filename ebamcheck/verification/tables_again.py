@@ -25,12 +25,12 @@ from ebamcheck.program import Check
 from ebamcheck.record.run_folder import RunFolder
 from ebamcheck.version import __version__
 
-NAME = "tables"
 # Figures that differ by less, relative to the greater, are the same: sums in another order.
 SAME_FIGURE = 1e-6
-NOTHING = 1e-9  # Figures that differ by less are the same, whatever they are
-SAME_LENGTH_MM = 1e-6  # Heights of metal and points of curves that differ by less are the same
 SHOWN = 40  # Characters that are told of two lines that differ, from a little before the place on
+# Columns of where the worst place is: of several that are alike, another processor may find another one.
+PLACE = re.compile(r"(^|_)[xy]_mm$")
+AREA = "area_mm2_"  # Beginning of the name of a slicer's column of areas
 
 
 def tables_check(
@@ -40,11 +40,10 @@ def tables_check(
 
     Reports that follow from the record alone are made here; `why_not` says of files that could be worked out why they were not.
     """
-    named = {
-        name: numbered(table) if isinstance(table, pd.DataFrame) and name not in INDEXED else table
-        for name, table in tables.items()
-    }
-    found: dict[str, Table | bytes] = {**named, **reports_again(run)}
+    found: dict[str, Table | bytes] = {**tables, **reports_again(run)}
+    for name, table in tables.items():
+        if isinstance(table, pd.DataFrame) and name not in INDEXED:
+            found[name] = numbered(table)
     why_not = dict(why_not)
     if manifest["ebamcheck"] != __version__:
         other = f"the run is of version {manifest['ebamcheck']}, this is {__version__}"
@@ -53,21 +52,15 @@ def tables_check(
     faults = [fault for name in told for fault in _differences(run.path / name, found[name])]
     text = "; ".join(faults[:3]) or f"{', '.join(told)} are those that follow"
     text += "".join(f"; {name} was not compared: {why}" for name, why in sorted(why_not.items()))
-    others = {path.name for path in run.path.iterdir() if path.suffix in RENDERED}
-    others -= {*found, *why_not, *CHECKED}
+    # Files with figures for people and other programs, but for the tables against which, as they are, the text itself is checked.
+    rendered = (".csv", ".html", ".parquet", ".xml")
+    others = {path.name for path in run.path.iterdir() if path.suffix in rendered}
+    others -= {*found, *why_not, "scan.parquet", "beads.parquet"}
     by_hash = sorted(name for name in others if not name.startswith("."))
     if by_hash:
         text += f"; only the hashes were looked at of {', '.join(by_hash)}"
     where = faults[0].split(":")[0] if faults else ""
-    return Check(NAME, not faults, float(len(faults)), 0.0, "faults", where, text)
-
-
-# Columns of where the worst place is: of several that are alike, another processor may find another one.
-PLACE = re.compile(r"(^|_)[xy]_mm$")
-AREA = "area_mm2_"  # Beginning of the name of a slicer's column of areas
-# Endings of what holds figures for people and other programs.
-RENDERED = (".csv", ".html", ".parquet", ".xml")
-CHECKED = ("scan.parquet", "beads.parquet")  # Tables against which, as they are, the text itself is checked
+    return Check("tables", not faults, float(len(faults)), 0.0, "faults", where, text)
 
 
 def order_of(run: RunFolder) -> list[str]:
@@ -100,9 +93,7 @@ def _differences(path: Path, found: Table | bytes) -> Iterable[str]:
     if list(recorded.columns) != list(found.columns) or len(recorded) != len(found):
         sizes = [f"{len(table)} rows of {len(table.columns)} columns" for table in (recorded, found)]
         return [f"{path.name}: {sizes[0]} are recorded, {sizes[1]} follow"]
-    for name in found.columns:
-        if PLACE.search(str(name)):
-            continue
+    for name in (name for name in found.columns if not PLACE.search(str(name))):
         other = np.flatnonzero(~_same(recorded[name], found[name]))
         if other.size:
             k = int(other[0])
@@ -119,7 +110,7 @@ def _of_columns(name: str, recorded: pa.Table, found: pa.Table) -> list[str]:
         a, b = (_numbers(table.column(column)) for table in (recorded, found))
         if a.shape != b.shape:
             return [f"{name}: {column}: {a.size} numbers are recorded, {b.size} follow"]
-        other = np.flatnonzero(~np.isclose(a, b, rtol=SAME_FIGURE, atol=SAME_LENGTH_MM, equal_nan=True))
+        other = np.flatnonzero(~np.isclose(a, b, rtol=SAME_FIGURE, atol=1e-6, equal_nan=True))
         if other.size:
             k = int(other[0])
             return [f"{name}: {column}, number {k + 1}: recorded {a[k]:.9g}, found {b[k]:.9g}"]
@@ -158,5 +149,5 @@ def _same(recorded: pd.Series[Any], found: pd.Series[Any]) -> np.ndarray[Any, np
     numbers = pd.api.types.is_numeric_dtype
     if numbers(recorded) and numbers(found):
         a, b = recorded.to_numpy(np.float64), found.to_numpy(np.float64)
-        return np.asarray(np.isclose(a, b, rtol=SAME_FIGURE, atol=NOTHING, equal_nan=True))
+        return np.asarray(np.isclose(a, b, rtol=SAME_FIGURE, atol=1e-9, equal_nan=True))
     return np.asarray((recorded.astype(str) == found.astype(str)).to_numpy(), np.bool_)

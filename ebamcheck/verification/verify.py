@@ -8,8 +8,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from shapely.geometry.base import BaseGeometry
-
 from ebamcheck.checks.consumables import plate_checks
 from ebamcheck.checks.table import mounting_checks, stands_of, turned_checks
 from ebamcheck.checks.text_checks import Truth
@@ -17,28 +15,20 @@ from ebamcheck.curves import Curves, fit_for_program
 from ebamcheck.errors import EbamcheckError, InputError, SettingsError
 from ebamcheck.heat.preheating import asked_for
 from ebamcheck.json_values import sha256_of_json
-from ebamcheck.kernels import Floats
 from ebamcheck.layers.heights import cut_heights
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.inspection import inspect
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.part_source import PlatePart, read_part
 from ebamcheck.nc.inputs import deposition_heights
-from ebamcheck.nc.motions import NCProgram
 from ebamcheck.pipeline.cross_check import witness_backend
 from ebamcheck.pipeline.entry_program import begins_later, entry_of_whole
 from ebamcheck.pipeline.stages import smooth_sections
 from ebamcheck.preflight.report import chosen_height
 from ebamcheck.program import read_program, verify_file
+from ebamcheck.record import certificate_checks as papers
 from ebamcheck.record.certificate import find_certificate, find_record, read_certificate
-from ebamcheck.record.certificate_checks import (
-    certificate_checks,
-    file_check,
-    hash_check,
-    part_hash,
-    run_certificate_checks,
-    told_once,
-)
+from ebamcheck.record.certificate_checks import hash_check, part_hash
 from ebamcheck.record.form import PLATE
 from ebamcheck.record.run_folder import MANIFEST, RunFolder, own_file
 from ebamcheck.record.signing import trusted_keys
@@ -113,7 +103,11 @@ def verify(
     if made_from is None:
         raise SettingsError(f"{place}: is no run folder: to verify a program, name its part with --part")
     checks = verify_against_part(place, made_from, config or settings_beside(place), keys)
-    return checks if config is not None or find_record(place) else _told_of_defaults(checks)
+    first = next((k for k, check in enumerate(checks) if not check.passed), None)
+    if first is not None and config is None and not find_record(place):
+        why = "no run lies beside the program, so the default settings were taken: name those that it was made with by --config"
+        checks[first] = replace(checks[first], text=f"{checks[first].text}; {why}")
+    return checks
 
 
 def settings_beside(program: Path) -> Config:
@@ -124,24 +118,10 @@ def settings_beside(program: Path) -> Config:
     return validated(RunFolder(record.parent).manifest()["settings"], f"{record}: settings")
 
 
-def _told_of_defaults(checks: list[Check]) -> list[Check]:
-    """Say at the first check that fails that a program may have other settings than those that were taken."""
-    first = next((k for k, check in enumerate(checks) if not check.passed), None)
-    if first is None:
-        return checks
-    why = "no run lies beside the program, so the default settings were taken: name those that it was made with by --config"
-    said = f"{checks[first].text}; {why}"
-    return [*checks[:first], replace(checks[first], text=said), *checks[first + 1 :]]
-
-
 def verify_run(
     folder: Path, part: Path | None = None, *, quick: bool = False, trusted: dict[bytes, str] | None = None
 ) -> list[Check]:
-    """Check that a run folder is what it says: its hashes and certificate, and every gate worked out again.
-
-    The part's file is where it was when the run was made, or beside the run folder, unless it is given. A `quick` check believes recorded
-    layers and gates, as far as their hashes hold. One of the `trusted` raw public keys has to have signed, if any are given.
-    """
+    """Check that a run folder is what it says: its hashes and certificate, and every gate worked out again, as :func:`verify` does."""
     run = RunFolder(folder)
     manifest = run.manifest()
     try:
@@ -155,8 +135,10 @@ def _verify(
 ) -> list[Check]:
     recorded = sha256_of_json(manifest["settings"])
     checks = [hash_check("settings unchanged", recorded, manifest["settings_sha256"], MANIFEST)]
-    checks += run_certificate_checks(run, manifest, trusted)
-    checks += told_once([file_check(run.path / name, name, h) for name, h in manifest["files"].items()])
+    checks += papers.run_certificate_checks(run, manifest, trusted)
+    checks += papers.told_once(
+        [papers.file_check(run.path / name, name, h) for name, h in manifest["files"].items()]
+    )
     # Checked by other settings or against other layers, the program would say nothing about this run.
     untouched = all(check.passed for check in checks if check.name != "signature")
     config = validated(manifest["settings"], f"{MANIFEST}: settings")
@@ -170,10 +152,13 @@ def _verify(
         checks.append(hash_check("part unchanged", part_hash(part), manifest["part"]["sha256"], part.name))
     # A quick check does not work the gates out again.
     for gate in map(gate_of_record, manifest["gates"]):
-        checks.append(
-            replace(gate, name=f"gate {gate.name}", where=MANIFEST, text=f"as recorded: {gate.text}")
-        )
-    checks += _own_witness(manifest)
+        said = f"as recorded: {gate.text}"
+        checks.append(replace(gate, name=f"gate {gate.name}", where=MANIFEST, text=said))
+    # A program must not be its own witness where another exact slicer came to its end.
+    witness, backends = (manifest.get("program") or {}).get("witness"), manifest["backends"]
+    exact = {name for name, found in backends.items() if found["exact"] and found["status"] == "done"}
+    if witness is not None and witness == manifest["primary"] and exact - {witness}:
+        checks.append(Check.fault("record", MANIFEST, f"{witness} is named as its own witness"))
     return checks + (_text_alone(run, manifest, config) if untouched else [])
 
 
@@ -186,18 +171,12 @@ def compared_again(run: RunFolder, manifest: dict[str, Any], config: Config, par
     tables = [] if again.tables is None else [again.tables]
     if manifest.get("program") is None and manifest.get("job") != "check":
         return [*compared(again, manifest), *tables, _no_program()]
-    text = _read_back(run, manifest, config) if isinstance(part, PlatePart) else None
+    text, record = None, manifest.get("program")
+    if record and isinstance(part, PlatePart):
+        with suppress(EbamcheckError):  # a program that cannot be read has a failed check of its own
+            text = read_program(run.program_folder / record["files"][0]["name"], config)
     parts = plate_checks(part, config, text, manifest.get(PLATE), MANIFEST)
     return [*compared(again, manifest), *tables, *parts, *again.checks]
-
-
-def _read_back(run: RunFolder, manifest: dict[str, Any], config: Config) -> NCProgram | None:
-    """Program of a run, read from its text; None where the run has none, or it cannot be read (a check tells that)."""
-    record = manifest.get("program")
-    try:
-        return read_program(run.program_folder / record["files"][0]["name"], config) if record else None
-    except EbamcheckError:
-        return None
 
 
 def part_of_run(run: RunFolder, manifest: dict[str, Any]) -> Path:
@@ -230,17 +209,6 @@ def _text_alone(run: RunFolder, manifest: dict[str, Any], config: Config) -> lis
     )  # fmt: skip
 
 
-def _own_witness(manifest: dict[str, Any]) -> list[Check]:
-    """A failed check where a program is its own witness although another exact slicer came to its end; else none."""
-    witness = (manifest.get("program") or {}).get("witness")
-    exact = {
-        name for name, found in manifest["backends"].items() if found["exact"] and found["status"] == "done"
-    }
-    if witness is None or witness != manifest["primary"] or not exact - {witness}:
-        return []
-    return [Check.fault("record", MANIFEST, f"{witness} is named as its own witness")]
-
-
 def _no_program() -> Check:
     return Check.fault("program", "", "the run wrote no program")
 
@@ -248,10 +216,9 @@ def _no_program() -> Check:
 def verify_against_part(
     program: Path, part_path: Path, config: Config, trusted: dict[bytes, str] | None = None
 ) -> list[Check]:
-    """Check a program from its text alone against the part that it should make.
+    """Check a program from its text alone against the part that it should make, and the certificate beside it, if there is one.
 
-    The part is sliced anew at the layers that a run of it with these settings has, by an exact backend that did not make the program where
-    its certificate says which one did. A certificate beside the program is checked, too.
+    The part is sliced anew at the layers of a run with these settings, by an exact backend that did not make the program.
     """
     if not program.exists():
         raise InputError(f"{program}: there is no such program")
@@ -267,30 +234,29 @@ def verify_against_part(
     witness = slice_part(part, heights, witness_backend(maker))
     curves = fit_for_program(layers, config.curves, part)
     said_validated = read_certificate(paper).get("validated") if paper else None
-    given, differ = sha256_of_json(config.model_dump()), tuple(_differences(program, config))
-    truth = Truth(said_validated, part_hash(part_path), given_sha256=given, differences=differ)
+    given, differ = sha256_of_json(config.model_dump()), list[str]()
+    if find_record(program) is not None:
+        with suppress(EbamcheckError):  # a record that cannot be read says nothing of the program
+            differ = differences(config, settings_beside(program))
+    truth = Truth(said_validated, part_hash(part_path), given_sha256=given, differences=tuple(differ))
+    under = None
+    if config.base_mm != 0.0 and asked_for(0, config):
+        # What the program begins on and preheats: half a layer under its bottom.
+        cut_mm = max(float(heights[0]) - config.layer_height_mm, float(part.bounds[0, 2]))
+        under = slice_part(part, [cut_mm], witness_backend(maker)).section(0)
     made = verify_file(
         program, config=config, part=part, layers=witness, smooth=smooth_sections(curves, config), beads=True, metal=True,
-        heat=True, under=_under(part, heights, config, maker), heights=heights, truth=truth,
+        heat=True, under=under, heights=heights, truth=truth,
     )  # fmt: skip
     if not all(check.passed for check in made):
         z_of = deposition_heights(heights, config.layer_height_mm, config.base_mm)
         made = [*begins_later(program, z_of, config), *made]
-    certified = certificate_checks(paper, program, part_path, config, trusted) if paper else []
+    certified = papers.certificate_checks(paper, program, part_path, config, trusted) if paper else []
     if paper and isinstance(part, PlatePart):
         with suppress(EbamcheckError):  # a program that cannot be read has a failed check of its own
             text = read_program(program, config)
             certified += plate_checks(part, config, text, read_certificate(paper).get(PLATE), paper.name)
     return [*certified, sound, *_turned(program, part_path, part, witness, config), *made]
-
-
-def _under(part: Part, heights: Floats, config: Config, maker: str) -> BaseGeometry | None:
-    """Section of what a program begins on, where it preheats that: half a layer under its bottom; None where it does not."""
-    if config.base_mm == 0.0 or not asked_for(0, config):
-        return None
-    low_mm = float(part.bounds[0, 2])
-    cut_mm = max(float(heights[0]) - config.layer_height_mm, low_mm)
-    return slice_part(part, [cut_mm], witness_backend(maker)).section(0)
 
 
 def _turned(program: Path, path: Path, part: Part, layers: Layers, config: Config) -> list[Check]:
@@ -306,12 +272,3 @@ def _turned(program: Path, path: Path, part: Part, layers: Layers, config: Confi
         section = layers.section(0)
         return turned_checks(read_program(program, config), section, float(layers.heights[0]), stands, config)
     return mounting_checks(before, part, config)
-
-
-def _differences(program: Path, config: Config) -> list[str]:
-    """Which of the settings given differ from those of the run that a program lies in; none where it lies in none."""
-    if find_record(program) is None:
-        return []
-    with suppress(EbamcheckError):  # a record that cannot be read says nothing of the program
-        return differences(config, settings_beside(program))
-    return []

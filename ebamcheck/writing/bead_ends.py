@@ -1,28 +1,24 @@
-"""Starts and ends of beads: seams that move on, contours that overlap their start, and a beam that ramps.
-
-Each track is cut into parts along itself, every cut exactly, so that the path stays the same curve.
-"""
+"""Starts and ends of beads: seams that move on, contours that overlap their start, and a beam that ramps, by cuts that keep the curve."""
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
-from ebamcheck.kernels import Bools, Floats, Ints
+from ebamcheck.kernels import Floats
 from ebamcheck.nc.control import control
 from ebamcheck.nc.inputs import SHORTEST_BLOCK_MM, CurveColumns, ScanColumns
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.machine import MachineSettings
 from ebamcheck.settings.process import ProcessSettings
 from ebamcheck.writing.bead_parts import ROUNDING_MM, Stretches, Tracks, cut, parts_of, snapped
-from ebamcheck.writing.segments import Form
+from ebamcheck.writing.segments import Form, bezier_places
 from ebamcheck.writing.tracks import Toolpath, toolpath
 from ebamcheck.writing.wire import with_wire
 
-STEP_MM = 1.0  # Places along a contour at which it may start
 # Places, each one shift further along, of which the first that lies apart is taken, or the farthest.
 TRIES = 8
-# Share of the shift by which a seam must miss every seam below: around a bend the way is longer than the distance.
-APART = 0.5
 NO_SEAMS: Floats = np.zeros((0, 2))  # Seams under the lowest layer of a part
 
 
@@ -35,10 +31,7 @@ def driven_path(
 
 
 def planned_path(curves: CurveColumns, plan: ScanColumns, config: Config) -> Toolpath:
-    """Lay out the tracks of a stack in the form of curves that the control gets.
-
-    Lengths of curves differ by their form, if little, and with them where the wire of a bead changes.
-    """
+    """Lay out the tracks of a stack in the form of curves that the control gets, by which lengths, and places of wire, differ a little."""
     machine = config.machine
     form = written_form(machine)
     return driven_path(curves, plan, config, machine.printed_decimals, form, machine.line_tolerance_mm)
@@ -53,12 +46,11 @@ def written_form(machine: MachineSettings) -> Form:
 def with_bead_ends(
     path: Toolpath, process: ProcessSettings, decimals: int, below: Floats = NO_SEAMS
 ) -> Toolpath:
-    """Start, overlap and ramp the beads of a path as the process asks.
+    """Start, overlap and ramp the beads of a path as the process asks; `below` (n, 2) are the seams under the lowest layer.
 
-    A closed contour starts ``process.seam_shift_mm`` along itself from the seam below, and runs on over its start
-    for ``process.overlap_mm``, at most once around. Along the first ``process.ramp_up_mm`` of every bead the power
-    rises in steps, along the last ``process.crater_fill_mm`` it falls; where a bead is shorter than both, they
-    shrink alike. `below` (n, 2) are the seams under the lowest layer.
+    A closed contour starts ``process.seam_shift_mm`` along itself from the seam below, and runs on over its start for
+    ``process.overlap_mm``, at most once around. Power rises in steps along ``process.ramp_up_mm`` and falls along
+    ``process.crater_fill_mm``; where a bead is shorter than both, they shrink alike.
     """
     if not (process.shapes_bead_ends and path.kind.size):
         return path
@@ -74,21 +66,16 @@ def uppermost_seams(path: Toolpath, process: ProcessSettings, below: Floats) -> 
     return _seams(path, process, Tracks.of(path), below)[1]
 
 
-def _seams(path: Toolpath, process: ProcessSettings, tracks: Tracks, below: Floats) -> tuple[Floats, Floats]:
-    """Shift of each track, (T,), and the seams of the uppermost layer."""
-    if process.seam_shift_mm <= 0.0:
-        return np.zeros(path.ring.size), below
-    layers, starts, shift_mm = path.layer_starts, path.track_starts, process.seam_shift_mm
-    return seam_shifts(layers, starts, tracks.closed, path.points, path.lengths, shift_mm, below)
-
-
 def _stretches(tracks: Tracks, seams: Floats, process: ProcessSettings) -> Stretches:
     """Cut every track where it starts, closes, ends, and where the power changes."""
     every, whole = np.arange(seams.size), tracks.length
     shift = snapped(tracks, every, seams)
     shift[shift > whole - SHORTEST_BLOCK_MM] = 0.0
     total = whole + np.where(tracks.closed, np.minimum(process.overlap_mm, whole), 0.0)
-    up, down = ramp_lengths(total, process)
+    # Ramps are shorter where a bead is shorter than both.
+    ramps = process.ramp_up_mm + process.crater_fill_mm
+    share = np.minimum(1.0, total / ramps) if ramps > 0.0 else np.zeros(total.size)
+    up, down = share * process.ramp_up_mm, share * process.crater_fill_mm
     # Places along what is driven of a track, which begins at its shift.
     steps = np.arange(process.ramp_steps + 1) / process.ramp_steps
     places = [np.zeros(whole.size), whole - shift, 2.0 * whole - shift, whole, total]
@@ -106,20 +93,10 @@ def _stretches(tracks: Tracks, seams: Floats, process: ProcessSettings) -> Stret
     return Stretches(track[kept], (first + low)[kept], (first + high)[kept], lap[kept], power[kept])
 
 
-def ramp_lengths(bead_mm: Floats, process: ProcessSettings) -> tuple[Floats, Floats]:
-    """Lengths (n,) of the ramps at the start and at the end of beads: those set, less where a bead is shorter."""
-    ramps = process.ramp_up_mm + process.crater_fill_mm
-    share = np.minimum(1.0, bead_mm / ramps) if ramps > 0.0 else np.zeros(bead_mm.size)
-    return share * process.ramp_up_mm, share * process.crater_fill_mm
-
-
 def ramp_power(
     from_start: Floats, to_end: Floats, up_mm: Floats, down_mm: Floats, process: ProcessSettings
 ) -> Floats:
-    """Share of the full power at places on beads, (n,), by the lengths along the bead from its start and to its end, mm.
-
-    It is that in the middle of each of ``process.ramp_steps``, over the ramps of :func:`ramp_lengths`.
-    """
+    """Share of the full power at places on beads, (n,), by mm from its start and to its end: the middle of each step of its ramps."""
     power = np.ones(from_start.size)
     for along, length in ((from_start, up_mm), (to_end, down_mm)):
         share = np.divide(along, length, out=np.ones_like(along), where=length > 0.0)
@@ -129,24 +106,22 @@ def ramp_power(
     return power
 
 
-def seam_shifts(
-    layer_starts: Ints, track_starts: Ints, closed: Bools, points: Floats, lengths: Floats, shift_mm: float,
-    below: Floats = NO_SEAMS,
-) -> tuple[Floats, Floats]:  # fmt: skip
-    """Lengths along tracks at which they are to start, (T,) mm: 0 for open ones, and where there is no seam below; and the uppermost seams, (n, 2).
+def _seams(path: Toolpath, process: ProcessSettings, tracks: Tracks, below: Floats) -> tuple[Floats, Floats]:
+    """Lengths along tracks at which they are to start, (T,) mm, and the uppermost seams, (n, 2); `below` (n, 2) are those under the lowest layer.
 
-    A contour that is `closed` (T,) starts a shift further along itself than its place next to the seam below; others keep their start.
-    `points` (N, 4, 2) and `lengths` (N,) of segments are those of :mod:`ebamcheck.writing.cuts`, `below` (n, 2) the seams under the
-    lowest layer.
+    A closed contour starts a shift further along itself than its place next to the seam below; others start where they do.
     """
-    shifts = np.zeros(closed.size)
-    for k in range(layer_starts.size - 1):
+    shifts = np.zeros(path.ring.size)
+    if process.seam_shift_mm <= 0.0:
+        return shifts, below
+    for first, last in pairwise(path.layer_starts.tolist()):
         seams = []
-        for t in range(int(layer_starts[k]), int(layer_starts[k + 1])):
-            a, b = int(track_starts[t]), int(track_starts[t + 1])
-            if closed[t] and b > a:
-                along, places = _places(points[a:b], lengths[a:b])
-                chosen = _chosen(along, places, float(lengths[a:b].sum()), below, shift_mm)
+        for t in range(first, last):
+            a, b = path.track_starts[t : t + 2].tolist()
+            if tracks.closed[t] and b > a:
+                along, places = _places(path.points[a:b], path.lengths[a:b])
+                whole_mm = float(path.lengths[a:b].sum())
+                chosen = _chosen(along, places, whole_mm, below, process.seam_shift_mm)
                 shifts[t] = along[chosen]
                 seams.append(places[chosen])
         below = np.array(seams) if seams else below
@@ -154,19 +129,12 @@ def seam_shifts(
 
 
 def _places(points: Floats, lengths: Floats) -> tuple[Floats, Floats]:
-    """Places (n, 2) along a track, and their lengths (n,) along it; within a curve as if it were even."""
-    count = np.maximum(np.ceil(lengths / STEP_MM).astype(np.int64), 1)
+    """Places (n, 2) along a track, one a millimetre, and their lengths (n,) along it; within a curve as if it were even."""
+    count = np.maximum(np.ceil(lengths).astype(np.int64), 1)
     segment = np.repeat(np.arange(lengths.size), count)
     t = (np.arange(segment.size) - np.repeat(np.cumsum(count) - count, count)) / count[segment]
     along = (np.cumsum(lengths) - lengths)[segment] + t * lengths[segment]
-    p, u = points[segment], t[:, None]
-    places = (
-        (1 - u) ** 3 * p[:, 0]
-        + 3 * (1 - u) ** 2 * u * p[:, 1]
-        + 3 * (1 - u) * u**2 * p[:, 2]
-        + u**3 * p[:, 3]
-    )
-    return along, places
+    return along, bezier_places(points[segment], t)
 
 
 def _chosen(along: Floats, places: Floats, whole_mm: float, below: Floats, shift_mm: float) -> int:
@@ -178,5 +146,6 @@ def _chosen(along: Floats, places: Floats, whole_mm: float, below: Floats, shift
     tried = (nearest + shift_mm * np.arange(1, TRIES + 1)) % whole_mm
     index = np.searchsorted(along, tried, side="right") - 1
     apart = away[index].min(axis=1)
-    first = np.flatnonzero(apart >= APART * shift_mm)
+    # Around a bend the way is longer than the distance.
+    first = np.flatnonzero(apart >= 0.5 * shift_mm)
     return int(index[first[0] if first.size else apart.argmax()])

@@ -11,8 +11,7 @@ from ebamcheck.heat.part_heat import BeadPower
 from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.nc.inputs import SHORTEST_BLOCK_MM, Interpass
 from ebamcheck.settings.config import Config
-from ebamcheck.writing.cuts import segment_parts
-from ebamcheck.writing.segments import CIRCULAR, CUBIC
+from ebamcheck.writing.segments import CIRCULAR, CUBIC, segment_parts
 from ebamcheck.writing.tracks import Toolpath, cleaned, rounded
 
 ROUNDING_MM = 1e-7  # Rounding of a length along a whole stack
@@ -87,15 +86,11 @@ def parts_of(path: Toolpath, tracks: Tracks, stretches: Stretches) -> Parts:
     start = np.concatenate([[0.0], tracks.ends[:-1]])[segment]
     length = tracks.ends[segment] - start
     low, high = stretches.low[owner] - start, stretches.high[owner] - start
-    return Parts(
-        stretches.track[owner],
-        segment,
-        np.where(low <= ROUNDING_MM, 0.0, low),
-        np.where(high >= length - ROUNDING_MM, length, high),
-        stretches.lap[owner],
-        path.power[segment] if stretches.power is None else stretches.power[owner],
-        path.width[segment] if stretches.width is None else stretches.width[owner],
-    )
+    low = np.where(low <= ROUNDING_MM, 0.0, low)
+    high = np.where(high >= length - ROUNDING_MM, length, high)
+    power = path.power[segment] if stretches.power is None else stretches.power[owner]
+    width = path.width[segment] if stretches.width is None else stretches.width[owner]
+    return Parts(stretches.track[owner], segment, low, high, stretches.lap[owner], power, width)
 
 
 def cut(path: Toolpath, parts: Parts, decimals: int) -> Toolpath:
@@ -104,10 +99,9 @@ def cut(path: Toolpath, parts: Parts, decimals: int) -> Toolpath:
     whole = (parts.low == 0.0) & (parts.high >= lengths[segment] - ROUNDING_MM)
     kind, made_points = path.kind[segment], path.points[segment]
     some = np.flatnonzero(~whole)
-    length = lengths[segment[some]]
-    made_points[some] = segment_parts(
-        kind[some], made_points[some], length, parts.low[some], np.minimum(parts.high[some], length)
-    )
+    length, low = lengths[segment[some]], parts.low[some]
+    high = np.minimum(parts.high[some], length)
+    made_points[some] = segment_parts(kind[some], made_points[some], length, low, high)
     end = np.where(whole[:, None], path.end[segment], rounded(made_points[:, 3], decimals))
     sizes = np.bincount(parts.track, minlength=path.ring.size)
     track_starts = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)

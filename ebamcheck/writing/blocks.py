@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
@@ -15,23 +16,13 @@ from ebamcheck.settings.config import Config
 from ebamcheck.writing.segments import Circles
 from ebamcheck.writing.tracks import rounded
 
-NUMBER_STEP = 10
-
 
 class BlockFormat:
     """Formats of the motions of one program, all with the same number of decimals."""
 
     def __init__(self, decimals: int) -> None:
         self.decimals = decimals
-        number = f"%.{decimals}f"
-        triple = f"({number},{number},{number})"
-        self.axis = number
-        self._line = f"G1 X{number} Y{number}"
-        self._arc = f" X{number} Y{number} I{number} J{number}"
-        self._poly = f"POLY PO[X]={triple} PO[Y]={triple} PL=1"
-        self._bezier = f"G5 I{number} J{number} P{number} Q{number} X{number} Y{number}"
-        self._control = f"X{number} Y{number}"
-        self._interval = f" PL={number}"
+        self._number = f"%.{decimals}f"
 
     def rounded(self, values: Floats) -> Floats:
         """Values as they will be printed and read back; no negative zero."""
@@ -39,17 +30,18 @@ class BlockFormat:
 
     def value(self, number: float) -> str:
         """One number."""
-        return self.axis % (round(float(number), self.decimals) + 0.0)
+        return self._number % (round(float(number), self.decimals) + 0.0)
 
     def lines(self, points: Floats) -> list[str]:
         """G1 blocks to rounded points (n, 2)."""
-        return _print(self._line, points)
+        return self._print("G1 X# Y#", points)
 
     def arcs(self, start: Floats, end: Floats, found: Circles) -> list[str]:
         """G2 and G3 blocks between rounded points (n, 2); I and J from the start to the centre."""
         rows = np.hstack([end, self.rounded(found.centre - start)])
         codes = np.where(found.counter_clockwise, "G3", "G2").tolist()
-        return [code + text for code, text in zip(codes, _print(self._arc, rows), strict=True)]
+        texts = self._print(" X# Y# I# J#", rows)
+        return [code + text for code, text in zip(codes, texts, strict=True)]
 
     def polynomials(self, bezier: Floats, end: Floats) -> list[str]:
         """POLY blocks over PL=1 of Bezier spans (n, 4, 2): end points, and coefficients of t^2 and t^3."""
@@ -57,51 +49,39 @@ class BlockFormat:
         second = 3.0 * (b[:, 0] - 2.0 * b[:, 1] + b[:, 2])
         third = b[:, 3] - b[:, 0] + 3.0 * (b[:, 1] - b[:, 2])
         rows = np.stack([end, self.rounded(second), self.rounded(third)], axis=2)
-        return _print(self._poly, rows.reshape(-1, 6))
+        return self._print("POLY PO[X]=(#,#,#) PO[Y]=(#,#,#) PL=1", rows.reshape(-1, 6))
 
     def beziers(self, bezier: Floats, start: Floats, end: Floats) -> list[str]:
         """G5 blocks of Bezier spans (n, 4, 2): I, J from the start to the second point, P, Q from the end to the third."""
         rows = np.hstack([self.rounded(bezier[:, 1] - start), self.rounded(bezier[:, 2] - end), end])
-        return _print(self._bezier, rows)
+        return self._print("G5 I# J# P# Q# X# Y#", rows)
 
     def control_points(self, control: Floats, knots: Floats, shift: int) -> list[str]:
-        """BSPLINE blocks for all control points but the first, which is the position before.
-
-        Block i carries ``PL = U[i + shift] - U[i + shift - 1]``. Cumulative knots are rounded, not intervals,
-        so that the length of the knot vector does not drift.
-        """
+        """BSPLINE blocks for all control points but the first: block i carries ``PL = U[i + shift] - U[i + shift - 1]``, of knots as rounded."""
         knots = self.rounded(knots - knots[0])
         i = np.arange(1, len(control))
         interval = self.rounded(knots[i + shift] - knots[i + shift - 1])
-        return _print(self._control + self._interval, np.column_stack([self.rounded(control[1:]), interval]))
+        return self._print("X# Y# PL=#", np.column_stack([self.rounded(control[1:]), interval]))
 
     def even_control_points(self, control: Floats) -> list[str]:
         """BSPLINE blocks without PL."""
-        return _print(self._control, self.rounded(control[1:]))
+        return self._print("X# Y#", self.rounded(control[1:]))
 
-
-def _print(block: str, rows: Floats) -> list[str]:
-    """Fill the format `block` with each row: one % over all rows is an order faster than one each."""
-    text: str = (f"{block}\n" * len(rows)) % tuple(rows.ravel().tolist())
-    return text.splitlines()
+    def _print(self, block: str, rows: Floats) -> list[str]:
+        """Put each row in place of the # of a block: one % over all rows is an order faster than one each."""
+        line = block.replace("#", self._number) + "\n"
+        text: str = line * len(rows) % tuple(rows.ravel().tolist())
+        return text.splitlines()
 
 
 def numbered(lines: Iterable[str]) -> str:
     """Number blocks from N10 up; lines that begin with ``;`` or ``%`` stay without a number."""
-    result = []
-    number = 0
-    for line in lines:
-        if line[0] in ";%":
-            result.append(line)
-        else:
-            number += NUMBER_STEP
-            result.append(f"N{number} {line}")
-    return "\n".join(result) + "\n"
+    number = itertools.count(10, 10)
+    return "".join(f"{line}\n" if line[0] in ";%" else f"N{next(number)} {line}\n" for line in lines)
 
 
 # -- safe states -------------------------------------------------------------------------------------
 # Every layer begins with them, so that a program can be entered at any layer: nothing that holds in it depends on what ran before.
-
 Templates = Mapping[str, tuple[str, ...]]
 
 

@@ -1,13 +1,6 @@
-"""The events of a program before any control writes it: beads, turns, moves and waits, in the order of execution.
-
-They are made once, from the path that every control translates. Lengths, times, wire and starts of a plan are read
-here; those of a program are read from its text (:mod:`ebamcheck.checks.consumables`), and both agree to the rounding of
-the text.
-"""
+"""The events of a program before any control writes it, from the path that all translate: beads, turns, moves and waits, in order."""
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
@@ -21,9 +14,9 @@ from ebamcheck.writing.bead_parts import power_shares
 from ebamcheck.writing.tracks import Toolpath
 
 # Roles of events: beads of contours, islands, thin walls and gaps, turns between their lines; moves and waits.
-CONTOUR, HATCH, WALL, FILLING, TURN, MOVE, WAIT = (
-    "contour", "hatch", "wall", "gap", "turn", "move", "wait",
-)  # fmt: skip
+CONTOUR, HATCH, WALL, FILLING, TURN, MOVE, WAIT = ["contour", "hatch", "wall", "gap", "turn", "move", "wait"]
+# A beam-off move of at most this many bead spacings stays at the layer's height; a longer one rises.
+NEAR_SPACINGS = 2.0
 # Columns of process_events and what they are.
 COLUMNS = {
     "layer": "index of the layer",
@@ -60,107 +53,65 @@ def _beads(path: Toolpath, plan: ScanColumns, config: Config, heat: Interpass) -
     layer = np.repeat(np.arange(len(path.z)), np.diff(path.layer_starts))[track]
     island, ring = path.island[track], path.ring[track]
     kind = np.append(np.asarray(plan.island_kind), "")[island]
-    role = np.select(
-        [ring >= 0, path.turn, kind == THIN_WALL, kind == GAP], [CONTOUR, TURN, WALL, FILLING], HATCH
-    )
+    marks = [ring >= 0, path.turn, kind == THIN_WALL, kind == GAP]
+    role = np.select(marks, [CONTOUR, TURN, WALL, FILLING], HATCH)
     per_mm = np.array([wire_speed_mm_s(config, 1.0, float(h)) for h in path.thickness])
     first = np.zeros(track.size, np.int64)
     first[path.track_starts[:-1][sizes > 0]] = 1
     return pd.DataFrame(
         {
-            "layer": layer,
-            "track": track,
-            # Moves and waits before a track come before its segments.
-            "step": np.arange(track.size) + STEPS_BEFORE,
-            "role": role,
-            "ring": ring,
-            "island": island,
-            "x_mm": path.end[:, 0],
-            "y_mm": path.end[:, 1],
-            "z_mm": path.z[layer],
-            "length_mm": length,
+            # Moves and waits before a track, fewer than eight, come before its segments.
+            "layer": layer, "track": track, "step": np.arange(track.size) + 8, "role": role, "ring": ring, "island": island,
+            "x_mm": path.end[:, 0], "y_mm": path.end[:, 1], "z_mm": path.z[layer], "length_mm": length,
             "time_s": length / config.process.travel_speed_mm_s,
             "power_w": power_shares(path, heat, config) * config.process.power_w,
-            "wire_mm_s": path.width * per_mm[layer],
-            "starts": first,
+            "wire_mm_s": path.width * per_mm[layer], "starts": first,
         }
-    )
-
-
-STEPS_BEFORE = 8  # Moves and waits that can come before a track
-
-
-@dataclass(frozen=True, eq=False)
-class _Before:
-    """What comes before each track that lays metal, (t,)."""
-
-    track: Ints
-    layer: Ints
-    begins_layer: np.typing.NDArray[np.bool_]
-    wait_s: Floats  # Wait over the layer, before the track and within the layer
-    far: np.typing.NDArray[np.bool_]  # Whether the tool rises before it
-    across_mm: Floats
-
-
-def _before(path: Toolpath, config: Config, heat: Interpass) -> _Before:
-    """Ways and waits before the tracks, as every control has them."""
-    track = np.flatnonzero(np.diff(path.track_starts) > 0)
-    layer = np.repeat(np.arange(len(path.z)), np.diff(path.layer_starts))[track]
-    start, end = path.start[track], path.end[path.track_starts[track + 1] - 1]
-    begins = np.diff(layer, prepend=-1) != 0
-    island, ring = path.island[track], path.ring[track]
-    wait_s = np.where((ring >= 0) & ~begins, heat.ring_wait_s[layer], 0.0)
-    entered = np.diff(island, prepend=-1) != 0
-    first, inner = (island >= 0) & entered, (island >= 0) & ~entered
-    wait_s[first] = heat.island_wait_s[island[first]]
-    wait_s[inner] = heat.inner_wait_s[island[inner]]
-    across = np.zeros(track.size)
-    across[1:] = np.hypot(*(start[1:] - end[:-1]).T)
-    far = begins | (across > NEAR_SPACINGS * config.process.hatch_spacing_mm) | (wait_s > 0.0)
-    return _Before(track, layer, begins, wait_s, far, across)
+    )  # fmt: skip
 
 
 def _moves(path: Toolpath, config: Config, heat: Interpass) -> pd.DataFrame:
-    """Moves with the beam off, and waits."""
-    before = _before(path, config, heat)
+    """Moves with the beam off, and waits, as every control has them."""
     safe_mm, rapid = config.machine.safe_height_mm, config.machine.rapid_mm_s
-    track, layer = before.track, before.layer
-    start, z = path.start[track], path.z[layer]
-    rise = before.far & ~before.begins_layer
+    track = np.flatnonzero(np.diff(path.track_starts) > 0)
+    layer = np.repeat(np.arange(len(path.z)), np.diff(path.layer_starts))[track]
+    start, z, end = path.start[track], path.z[layer], path.end[path.track_starts[track + 1] - 1]
+    begins = np.diff(layer, prepend=-1) != 0
+    layer_wait_s, wait_s = track_waits_s(layer, path.ring[track], path.island[track], heat)
+    across = np.zeros(track.size)
+    across[1:] = np.hypot(*(start[1:] - end[:-1]).T)
+    # The tool rises before a far track.
+    far = begins | (across > NEAR_SPACINGS * config.process.hatch_spacing_mm) | (wait_s > 0.0)
+    # The rise at the end of each layer, and on to the safe height of the next one, whether these have metal or not.
+    every, last = np.arange(len(path.z)), np.zeros((len(path.z), 2))
+    last[layer] = end
+    up, beyond = np.diff(path.z, prepend=path.z[:1]), np.full(every.size, path.track_starts.size)
+    rise = np.where(np.isin(every, layer), safe_mm, 0.0)
+    none, high = np.zeros(track.size), z + safe_mm
     rows = [
-        _rows(layer, track, 0, WAIT, start, z + safe_mm, np.zeros(track.size), _layer_waits(before, heat)),
-        _rows(layer, track, 1, MOVE, start, z + safe_mm, np.where(rise, safe_mm, 0.0), None),
-        _rows(layer, track, 2, WAIT, start, z + safe_mm, np.zeros(track.size), before.wait_s),
-        _rows(layer, track, 3, MOVE, start, np.where(before.far, z + safe_mm, z), before.across_mm, None),
-        _rows(layer, track, 4, MOVE, start, z, np.where(before.far, safe_mm, 0.0), None),
+        _rows(layer, track, 0, WAIT, start, high, none, layer_wait_s),
+        _rows(layer, track, 1, MOVE, start, high, np.where(far & ~begins, safe_mm, 0.0), None),
+        _rows(layer, track, 2, WAIT, start, high, none, wait_s),
+        _rows(layer, track, 3, MOVE, start, np.where(far, high, z), across, None),
+        _rows(layer, track, 4, MOVE, start, z, np.where(far, safe_mm, 0.0), None),
+        _rows(every, np.full(every.size, -1), 0, MOVE, last, path.z + safe_mm, up, None),
+        _rows(every, beyond, 0, MOVE, last, path.z + safe_mm, rise, None),
     ]
-    rows += _between_layers(path, before, safe_mm)
     table = pd.concat(rows, ignore_index=True)
     table["time_s"] = np.where(table["role"] == MOVE, table["length_mm"] / rapid, table["time_s"])
     return table[(table["length_mm"] > 0.0) | (table["time_s"] > 0.0)]
 
 
-def _layer_waits(before: _Before, heat: Interpass) -> Floats:
-    """Wait before each layer but the first that has metal, at its first track."""
-    waits = np.where(before.begins_layer, heat.wait_s[before.layer], 0.0)
-    waits[:1] = 0.0
-    return np.asarray(waits, np.float64)
-
-
-def _between_layers(path: Toolpath, before: _Before, safe_mm: float) -> list[pd.DataFrame]:
-    """The rise at the end of each layer, and on to the safe height of the next one, whether these have metal or not."""
-    count = len(path.z)
-    every = np.arange(count)
-    filled = np.isin(every, before.layer)
-    last = np.zeros((count, 2))
-    tracks = np.flatnonzero(np.diff(path.track_starts) > 0)
-    last[before.layer] = path.end[path.track_starts[tracks + 1] - 1]
-    beyond = np.full(count, path.track_starts.size)
-    up = np.diff(path.z, prepend=path.z[:1])
-    return [
-        _rows(every, np.full(count, -1), 0, MOVE, last, path.z + safe_mm, up, None),
-        _rows(every, beyond, 0, MOVE, last, path.z + safe_mm, np.where(filled, safe_mm, 0.0), None),
-    ]
+def track_waits_s(layer: Ints, ring: Ints, island: Ints, heat: Interpass) -> tuple[Floats, Floats]:
+    """Waits before tracks that lay metal (T,): those before each layer but the first, and those within it."""
+    begins, entered = (np.diff(column, prepend=-1) != 0 for column in (layer, island))
+    before = np.where(begins, heat.wait_s[layer], 0.0)
+    before[:1] = 0.0
+    within = np.where((ring >= 0) & ~begins, heat.ring_wait_s[layer], 0.0)
+    first, inner = (island >= 0) & entered, (island >= 0) & ~entered
+    within[first] = heat.island_wait_s[island[first]]
+    within[inner] = heat.inner_wait_s[island[inner]]
+    return before, within
 
 
 def _rows(
@@ -176,14 +127,7 @@ def _rows(
 
 
 def event_totals(events: pd.DataFrame, layers: int, config: Config) -> pd.DataFrame:
-    """One row a layer: lengths of beads by role, moves, starts, times, wire and mass.
-
-    Returns
-    -------
-    DataFrame
-        Columns `layer`, `contour_mm`, `hatch_mm`, `turn_mm`, `wall_mm`, `gap_mm`, `travel_mm`, `starts`, `deposit_s`,
-        `travel_s`, `wait_s` (before it and within it), `wire_mm`, `wire_kg`.
-    """
+    """One row a layer: lengths of beads by role, moves, starts, times (waits before it and within it), wire and mass."""
     layer, role = events["layer"].to_numpy(), events["role"].to_numpy()
     metal = ~np.isin(role, (MOVE, WAIT))
 
@@ -191,29 +135,20 @@ def event_totals(events: pd.DataFrame, layers: int, config: Config) -> pd.DataFr
         values = events[column].to_numpy(np.float64) if isinstance(column, str) else column
         return np.bincount(layer[which], values[which], minlength=layers).astype(np.float64)
 
-    names = {
-        CONTOUR: "contour_mm",
-        HATCH: "hatch_mm",
-        TURN: "turn_mm",
-        WALL: "wall_mm",
-        FILLING: "gap_mm",
-        MOVE: "travel_mm",
+    lengths = {
+        f"{name}_mm": total("length_mm", role == name) for name in (CONTOUR, HATCH, TURN, WALL, FILLING)
     }
     wire_mm = total(events["time_s"].to_numpy() * events["wire_mm_s"].to_numpy(), metal)
     kg_mm = wire_area_mm2(config) * 1e-9 * config.material.density_kg_m3
-    return pd.DataFrame(
-        {
-            "layer": np.arange(layers),
-            **{name: total("length_mm", role == which) for which, name in names.items()},
-            "starts": total("starts", metal).astype(np.int64),
-            "deposit_s": total("time_s", metal),
-            "travel_s": total("time_s", role == MOVE),
-            "wait_s": total("time_s", role == WAIT),
-            "wire_mm": wire_mm,
-            "wire_kg": wire_mm * kg_mm,
-        }
-    )
-
-
-# A beam-off move of at most this many bead spacings stays at the layer's height; a longer one rises.
-NEAR_SPACINGS = 2.0
+    columns = {
+        "layer": np.arange(layers),
+        **lengths,
+        "travel_mm": total("length_mm", role == MOVE),
+        "starts": total("starts", metal).astype(np.int64),
+        "deposit_s": total("time_s", metal),
+        "travel_s": total("time_s", role == MOVE),
+        "wait_s": total("time_s", role == WAIT),
+        "wire_mm": wire_mm,
+        "wire_kg": wire_mm * kg_mm,
+    }
+    return pd.DataFrame(columns)

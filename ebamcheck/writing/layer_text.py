@@ -25,10 +25,7 @@ from ebamcheck.writing.tracks import Toolpath
 
 
 def motion_text(path: Toolpath, form: BlockFormat, cubics: Sequence[str]) -> list[str]:
-    """Text of every segment (N,): G1, G2, G3, and what `cubics` holds for the cubic ones, in their order.
-
-    An entry of `cubics` may be several lines, or empty where another carries its motion.
-    """
+    """Text of every segment (N,): G1, G2, G3, and for cubic ones an entry of `cubics`: several lines, or none where another carries it."""
     text = np.empty(path.kind.size, dtype=object)
     straight, round_ = path.kind == STRAIGHT, path.kind == CIRCULAR
     text[straight] = form.lines(path.end[straight])
@@ -91,8 +88,8 @@ def layer_blocks(
 ) -> list[str]:  # fmt: skip
     """Blocks of layer `k`: contour rings and islands, each track between beam on and beam off, and the waits.
 
-    `entry` are the modes that hold in it. It begins with them and with its own power, so that the control can enter the
-    program there. The blocks of `around` come before its first way and after its last.
+    It begins with the modes `entry` and its own power, so that the control can enter the program there; the blocks of `around` come before
+    its first way and after its last.
     """
     path, heat, templates = post.path, post.heat, post.templates
     values, share = post.values(k), float(post.heat.power_share[k])
@@ -131,16 +128,11 @@ class _Layer:
         self._z, self._safe_z = form.value(z_mm), form.value(z_mm + config.machine.safe_height_mm)
         self._values, self._templates = post.values(k), post.templates
         ends = ("wire_stop", "wire_retract", "beam_off")
-        self._names = (
-            ("set_power",),
-            ("set_wire",),
-            ("beam_on", "wire_start"),
-            ends if self._values.wire_retract_mm > 0.0 else (ends[0], ends[2]),
-        )
+        off = ends if self._values.wire_retract_mm > 0.0 else (ends[0], ends[2])
+        self._names = (("set_power",), ("set_wire",), ("beam_on", "wire_start"), off)
         texts = ["".join(line for n in names for line in self._templates[n]) for names in self._names]
         # Whether the blocks of a group depend on the power, and on the wire.
         self._asked = [("{power_w" in text or "{current_ma" in text, "{wire_mm_s" in text) for text in texts]
-        self._values_at: dict[tuple[float, float], ProcessValues] = {}
         self._blocks: dict[tuple[int, float, float], list[str]] = {}
         self._feeds: dict[float, str] = {}
         self._power, self._wire = float(post.heat.power_share[k]), 1.0
@@ -150,7 +142,8 @@ class _Layer:
         """Write all tracks of the layer and the waits between them, from the safe height back to it."""
         path, heat, config, k = self._post.path, self._post.heat, self._post.config, self._k
         speed, share = self._values.wire_mm_s, float(heat.power_share[k])
-        self.rise()
+        rise = f"G0 Z{self._safe_z}"
+        self.lines.append(rise)
         if config.machine.optional_stop:
             self.lines.append("M1")
         first, last = path.track_starts[path.layer_starts[k : k + 2]].tolist()
@@ -161,32 +154,30 @@ class _Layer:
         island, entered = -1, False
         for t in range(int(path.layer_starts[k]), int(path.layer_starts[k + 1])):
             if path.ring[t] >= 0:
-                self.wait(float(heat.ring_wait_s[k]) if t > path.layer_starts[k] else 0.0)
+                self._wait(float(heat.ring_wait_s[k]) if t > path.layer_starts[k] else 0.0)
                 self.lines.append(f"; RING {path.ring[t]}")
             elif path.island[t] != island:
                 island = int(path.island[t])
-                self.wait(float(heat.island_wait_s[island]))
+                self._wait(float(heat.island_wait_s[island]))
                 self.lines.append(f"; ISLAND {island}")
                 entered = False
             a, b = int(path.track_starts[t]), int(path.track_starts[t + 1])
             if b > a:
                 if path.island[t] >= 0:
-                    self.wait(float(heat.inner_wait_s[island]) if entered else 0.0)
+                    self._wait(float(heat.inner_wait_s[island]) if entered else 0.0)
                     entered = True
                 own = slice(a - first, b - first)
-                self.deposit(path.start[t], path.end[b - 1], motions[a:b], power[own], wire[own], feed[own])
-        self.rise()
+                self._deposit(path.start[t], path.end[b - 1], motions[a:b], power[own], wire[own], feed[own])
+        self.lines.append(rise)
 
     def _switches(self, group: int) -> list[str]:
         """Blocks of the moment: those that set power (0) or wire speed (1), or those before (2) and after a bead (3)."""
         power, wire = self._asked[group]
         key = (group, self._power if power else 0.0, self._wire if wire else 0.0)
         if key not in self._blocks:
-            now = (self._power, self._wire)
-            if now not in self._values_at:
-                self._values_at[now] = self._values.at(*now)
-            values, names = self._values_at[now], self._names[group]
-            self._blocks[key] = [line for n in names for line in values.fill(n, self._templates[n])]
+            values = self._values.at(self._power, self._wire)
+            texts = (values.fill(name, self._templates[name]) for name in self._names[group])
+            self._blocks[key] = [line for text in texts for line in text]
         return self._blocks[key]
 
     def _feed(self, share: float) -> str:
@@ -196,33 +187,22 @@ class _Layer:
             self._feeds[share] = f" F{plain(values.printed('feed_mm_min'))}"
         return self._feeds[share]
 
-    def rise(self) -> None:
-        """Go to the safe height, with the beam off."""
-        self.lines.append(f"G0 Z{self._safe_z}")
-
-    def wait(self, wait_s: float) -> None:
+    def _wait(self, wait_s: float) -> None:
         """Wait above the layer; the next travel comes down from there."""
-        pause = pause_blocks(self._values, self._templates, wait_s)
-        if pause:
-            self.rise()
-            self.lines += pause
+        if pause := pause_blocks(self._values, self._templates, wait_s):
+            self.lines += [f"G0 Z{self._safe_z}", *pause]
             self._position = None
 
-    def set_power(self, share: float) -> None:
-        """Set the beam to a share of its power."""
-        if share != self._power:
-            before = self._switches(0)
-            self._power = share
-            self.lines += _changed(before, self._switches(0))
+    def _set(self, power: float, wire: float) -> None:
+        """Set beam and running wire to shares of those of the layer, where the control has a step as small as what they differ by."""
+        if power != self._power:
+            before, self._power = self._switches(0), power
+            self.lines += [] if before == (now := self._switches(0)) else now
+        if wire != self._wire:
+            before, self._wire = self._switches(1), wire
+            self.lines += [] if before == (now := self._switches(1)) else now
 
-    def set_wire(self, share: float) -> None:
-        """Set the running wire to a share of the speed of the layer."""
-        if share != self._wire:
-            before = self._switches(1)
-            self._wire = share
-            self.lines += _changed(before, self._switches(1))
-
-    def deposit(
+    def _deposit(
         self, start: Floats, end: Floats, motions: Sequence[str], power: Floats, wire: Floats, feed: Floats
     ) -> None:
         """Travel to `start`, beam and wire on, `motions` each at its power, wire and feed, wire and beam off at `end`."""
@@ -230,18 +210,20 @@ class _Layer:
             return  # all of it lies within a rounding: the beam would stand
         self._travel(start)
         self._wire = float(wire[0])
-        self.set_power(float(power[0]))
+        self._set(float(power[0]), self._wire)
         self.lines += self._switches(2)
         steps = (np.diff(power) != 0.0) | (np.diff(wire) != 0.0) | (np.diff(feed) != 0.0)
         changes = [0, *(np.flatnonzero(steps) + 1).tolist(), len(motions)]
         said = ""
         for a, b in itertools.pairwise(changes):
-            self.set_power(float(power[a]))
-            self.set_wire(float(wire[a]))
+            self._set(float(power[a]), float(wire[a]))
             blocks = [line for text in motions[a:b] if text for line in text.split("\n")]
             own = self._feed(float(feed[a]))
-            self.lines += [_with_feed(blocks[0], own if own != said else ""), *blocks[1:]] if blocks else []
-            said = own if blocks else said
+            if blocks and own != said:
+                # Before the comment that a block may end with.
+                code, mark, note = blocks[0].partition(" ;")
+                blocks[0], said = code + own + mark + note, own
+            self.lines += blocks
         self.lines += self._switches(3)
         self._position = end
 
@@ -255,33 +237,18 @@ class _Layer:
             self.lines.append(x_y)
 
 
-def _changed(before: list[str], now: list[str]) -> list[str]:
-    """Blocks of values that are to be set; none where the control has no smaller step than what they differ by."""
-    return [] if now == before else now
-
-
-def _with_feed(block: str, feed: str) -> str:
-    """Put the feed into a block, before the comment that it may end with."""
-    code, mark, note = block.partition(" ;")
-    return code + feed + mark + note
-
-
 def preheat_passes(plan: ScanColumns) -> Ints:
     """Passes (L,) before each layer of a plan; none of one that knows nothing of preheating."""
-    metrics = getattr(plan, "metrics", {})
-    if "preheat_passes" not in metrics:
-        return np.zeros(len(plan.heights), np.int64)
-    return np.asarray(metrics["preheat_passes"], np.int64)
+    none = np.zeros(len(plan.heights), np.int64)
+    return np.asarray(getattr(plan, "metrics", {}).get("preheat_passes", none), np.int64)
 
 
 def preheat_blocks(
     post: Post, k: int, passes: int, values: ProcessValues, after: ProcessValues, entry: Sequence[str]
 ) -> list[str]:
-    """Blocks of the scan before layer `k`.
+    """Blocks of the scan before layer `k`: its modes, values of beads at full power, and `after` it.
 
-    `entry` are the modes that hold in it, `values` those of beads at full power, and `after` those with which the beam is left.
-    Within the subprogram of its layer (``preheat.scan_in``) the focus is the last that is taken back, since it tells where the scan
-    ends.
+    Within the subprogram of its layer the focus is the last that is taken back, since it tells where the scan ends.
     """
     plan, config, form, templates = post.plan, post.config, post.form, post.templates
     bottom_mm = values.height_mm

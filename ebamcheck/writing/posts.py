@@ -67,7 +67,6 @@ def write_program(
 
 # -- going on after a break: the same layers, without those before ---------------------------------------
 # Each layer sets its own modes and values, so that its blocks are those of the whole program, byte for byte.
-
 _CALL = re.compile(r"N\d+ (\S+_L\d+)")
 _LAYER = re.compile(r"(?:; |\()LAYER: (\d+) OF (\d+)\b.*")
 
@@ -75,20 +74,14 @@ _LAYER = re.compile(r"(?:; |\()LAYER: (\d+) OF (\d+)\b.*")
 def check_entry(layer: int, config: Config) -> None:
     """Refuse to begin at a layer (from 1) of a build that preheats: the plate's preheating belongs before its first one."""
     if layer > 1 and config.preheat.when != "off":
-        raise SettingsError(
-            f"--from-layer {layer}: preheat.when is {config.preheat.when!r}, which belongs to a build from the plate: set it to 'off'"
-        )
+        what = "which belongs to a build from the plate: set it to 'off'"
+        raise SettingsError(f"--from-layer {layer}: preheat.when is {config.preheat.when!r}, {what}")
 
 
 def begin_at_layer(files: ProgramFiles, layer: int) -> ProgramFiles:
-    """Take the layers before `layer` (from 1) out of a program that was written; the rest stays as it is.
+    """Take the layers before `layer` (from 1) out of a program that was written, which says so; SettingsError where it has no such layer.
 
-    The main program says so in a comment. It is no proof of the part: checks of the whole miss the layers left out.
-
-    Raises
-    ------
-    SettingsError
-        If the program has no such layer.
+    It is no proof of the part: checks of the whole miss the layers left out.
     """
     lines = files.main.read_text(encoding="ascii").split("\n")
     calls = [i for i, line in enumerate(lines) if _CALL.fullmatch(line)]

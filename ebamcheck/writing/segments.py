@@ -1,18 +1,18 @@
-"""The pieces of fitted contours as segments that a machine can drive: straight, cubic or circular.
-
-Splines are cubic polynomials, one per knot span, exactly; chords of them; or pairs of arcs within a tolerance.
-"""
+"""The pieces of fitted contours as segments that a machine can drive: straight, cubic (exact), or circular within a tolerance; and their parts."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from functools import partial
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.nc.inputs import ARC, DEGREE, LINE, SPLINE, CurveColumns
+from ebamcheck.threads import run_blocks
 
 STRAIGHT, CUBIC, CIRCULAR = range(3)  # Kinds of segments
 # What splines become: cubics, exactly, or arcs or chords within a tolerance. Arcs stay arcs, but for "all chords".
@@ -30,13 +30,8 @@ class Segments:
     middle: Floats  # (A, 2) points half-way along the circular segments alone, in their order
 
 
-class _Made(NamedTuple):
-    """Segments of the pieces of one kind."""
-
-    sizes: Ints  # (p,) segments of each
-    end: Floats
-    kind: int = STRAIGHT
-    middle: Floats | None = None
+# Segments of the pieces of one kind: (p,) segments of each, their ends, their kind, and the points half-way along arcs
+_Made = tuple[Ints, Floats, int, Floats | None]
 
 
 def contour_segments(curves: CurveColumns, form: Form, tolerance_mm: float) -> Segments:
@@ -44,51 +39,45 @@ def contour_segments(curves: CurveColumns, form: Form, tolerance_mm: float) -> S
     piece_kind = np.asarray(curves.kind)
     control = np.asarray(curves.control, dtype=np.float64)
     first = np.asarray(curves.control_starts, dtype=np.int64)
-    found = spans(curves)
-    made = {
-        LINE: _lines(piece_kind, first, control),
+    found, inner = spans(curves), np.repeat(piece_kind == LINE, np.diff(first))
+    inner[first[:-1][np.diff(first) > 0]] = False
+    made: dict[int, _Made] = {
+        LINE: (np.maximum(np.diff(first)[piece_kind == LINE] - 1, 0), control[inner], STRAIGHT, None),
         SPLINE: _splines(found, piece_kind == SPLINE, form, tolerance_mm),
         ARC: _arcs(control, first[:-1][piece_kind == ARC], form, tolerance_mm),
     }
     count = np.zeros(piece_kind.size, np.int64)
-    for which, part in made.items():
-        count[piece_kind == which] = part.sizes
+    for which, (sizes, *_) in made.items():
+        count[piece_kind == which] = sizes
     starts = np.concatenate([[0], np.cumsum(count)]).astype(np.int64)
     owner = np.repeat(piece_kind, count)
     kind, end, middle = np.empty(owner.size, np.uint8), np.empty((owner.size, 2)), np.empty((owner.size, 2))
-    for which, part in made.items():
+    for which, (_, ends, is_kind, middles) in made.items():
         rows = owner == which
-        kind[rows], end[rows] = part.kind, part.end
-        if part.middle is not None:
-            middle[rows] = part.middle
+        kind[rows], end[rows] = is_kind, ends
+        if middles is not None:
+            middle[rows] = middles
     filled = np.flatnonzero(count > 0)
     end[starts[filled + 1] - 1] = control[first[filled + 1] - 1]  # bit for bit where the next piece starts
     bezier = found.bezier if form == "cubics" else np.zeros((0, 4, 2))
     return Segments(starts, kind, end, bezier, middle[kind == CIRCULAR])
 
 
-def _lines(piece_kind: NDArray[np.uint8], first: Ints, control: Floats) -> _Made:
-    sizes = np.diff(first)
-    ends = np.repeat(piece_kind == LINE, sizes)
-    ends[first[:-1][sizes > 0]] = False
-    return _Made(np.maximum(sizes[piece_kind == LINE] - 1, 0), control[ends])
-
-
-def _splines(found: Spans, which: NDArray[np.bool_], form: Form, tolerance_mm: float) -> _Made:
+def _splines(found: Spans, which: Bools, form: Form, tolerance_mm: float) -> _Made:
     if form == "cubics":
-        return _Made(np.diff(found.starts)[which], found.end, CUBIC)
+        return np.diff(found.starts)[which], found.bezier[:, 3], CUBIC, None
     if form == "arcs":
-        arcs = spline_arcs(found, tolerance_mm)
-        return _Made(np.diff(arcs.starts)[which], arcs.end, CIRCULAR, arcs.middle)
+        starts, middle, end = spline_arcs(found, tolerance_mm)
+        return np.diff(starts)[which], end, CIRCULAR, middle
     starts, points = chords(found, tolerance_mm)
-    return _Made(np.diff(starts)[which], points)
+    return np.diff(starts)[which], points, STRAIGHT, None
 
 
 def _arcs(control: Floats, first: Ints, form: Form, tolerance_mm: float) -> _Made:
     if form == "all chords":
         starts, points = arc_chords(control[first], control[first + 1], control[first + 2], tolerance_mm)
-        return _Made(np.diff(starts), points)
-    return _Made(np.ones(first.size, np.int64), control[first + 2], CIRCULAR, control[first + 1])
+        return np.diff(starts), points, STRAIGHT, None
+    return np.ones(first.size, np.int64), control[first + 2], CIRCULAR, control[first + 1]
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,23 +86,6 @@ class Spans:
 
     starts: Ints  # (P + 1,) first span of each piece; lines have none
     bezier: Floats  # (S, 4, 2) Bezier points, mm
-
-    @property
-    def end(self) -> Floats:
-        """(S, 2) where each span ends."""
-        return self.bezier[:, 3]
-
-    @property
-    def quadratic(self) -> Floats:
-        """(S, 2) coefficients of t^2."""
-        b = self.bezier
-        return np.asarray(3.0 * (b[:, 0] - 2.0 * b[:, 1] + b[:, 2]))
-
-    @property
-    def cubic(self) -> Floats:
-        """(S, 2) coefficients of t^3."""
-        b = self.bezier
-        return np.asarray(b[:, 3] - b[:, 0] + 3.0 * (b[:, 1] - b[:, 2]))
 
 
 def spans(curves: CurveColumns) -> Spans:
@@ -153,101 +125,60 @@ def chords(found: Spans, tolerance_mm: float) -> tuple[Ints, Floats]:
     The chord error of n equal parts is at most ``max |p''| / (8 n^2)``, and p'' of a cubic is largest at an end. Returns the first point
     of each piece, (P + 1,), and the points (N, 2), mm.
     """
-    first, last = 2.0 * found.quadratic, 2.0 * found.quadratic + 6.0 * found.cubic
+    b = found.bezier
+    quadratic = 3.0 * (b[:, 0] - 2.0 * b[:, 1] + b[:, 2])
+    first, last = 2.0 * quadratic, 2.0 * quadratic + 6.0 * (b[:, 3] - b[:, 0] + 3.0 * (b[:, 1] - b[:, 2]))
     bend = np.maximum(np.linalg.norm(first, axis=1), np.linalg.norm(last, axis=1))
     parts = np.maximum(1, np.ceil(np.sqrt(bend / (8.0 * tolerance_mm)))).astype(np.int64)
     offset = np.concatenate([[0], np.cumsum(parts)]).astype(np.int64)
     span = np.repeat(np.arange(parts.size), parts)
     step = np.arange(offset[-1]) - offset[:-1][span] + 1
-    t = (step / parts[span])[:, None]
-    b = found.bezier[span]
-    points = (
-        (1.0 - t) ** 3 * b[:, 0]
-        + 3.0 * t * (1.0 - t) ** 2 * b[:, 1]
-        + 3.0 * t**2 * (1.0 - t) * b[:, 2]
-        + t**3 * b[:, 3]
-    )
-    return offset[found.starts], np.asarray(points)
+    return offset[found.starts], bezier_places(b[span], step / parts[span])
 
 
 # -- splines as arcs: tangent-continuous pairs ---------------------------------------------------------
 # Each stretch of a span becomes two arcs that share end points and tangents with it and a tangent with each other, with legs of
 # equal length (Bolton, Biarc curves, CAD 7, 1975); a stretch that leaves the tolerance is halved.
-
-
 SAMPLES = 12  # Places inside a stretch where the distance from its arcs is measured
-# Share of the tolerance allowed at the samples: what lies between them may be a little farther.
-SAMPLED_SHARE = 0.9
 # A stretch of 2^-14 of a span that is still no pair of arcs has a cusp, and becomes a straight line.
 MOST_HALVINGS = 14
-# A derivative shorter than this share of the chord gives no direction; the chord's is taken.
-NO_TANGENT = 1e-9
 
 
-class Pairs(NamedTuple):
-    """Pairs of arcs, one a stretch."""
+def spline_arcs(found: Spans, tolerance_mm: float) -> tuple[Ints, Floats, Floats]:
+    """Arcs (N,) within `tolerance_mm` of the spans of all spline pieces.
 
-    first_middle: Floats
-    joint: Floats
-    second_middle: Floats
-    error_mm: Floats
-
-
-class ArcPieces(NamedTuple):
-    """Arcs and lines in place of splines."""
-
-    starts: Ints  # (P + 1,) first arc of each piece
-    middle: Floats  # (N, 2) points half-way along each arc; on the chord of a straight line
-    end: Floats  # (N, 2)
-
-
-def spline_arcs(found: Spans, tolerance_mm: float) -> ArcPieces:
-    """Arcs (N,) within `tolerance_mm` of the spans of all spline pieces."""
+    Returns the first arc of each piece (P + 1,), points (N, 2) half-way along each arc, on the chord of a straight line, and its end (N, 2).
+    """
     span = np.arange(len(found.bezier))
     low, high = np.zeros(span.size), np.ones(span.size)
-    done: list[tuple[Ints, Floats, Floats, Floats, Floats, Floats]] = []
+    done = [(span[:0], low[:0], *[np.zeros((0, 2))] * 4)]
     for level in range(MOST_HALVINGS + 1):
         if not span.size:
             break
         bezier = found.bezier[span]
-        pairs = _pairs(bezier, low, high)
-        good = pairs.error_mm <= SAMPLED_SHARE * tolerance_mm
-        end = _at(bezier, high)
+        *pairs, error_mm = _pairs(bezier, low, high)
+        # What lies between the samples may be a little farther.
+        good = error_mm <= 0.9 * tolerance_mm
+        end = bezier_places(bezier, high)
         if level == MOST_HALVINGS:
-            start = _at(bezier, low)
-            for share, points in (
-                (0.25, pairs.first_middle),
-                (0.5, pairs.joint),
-                (0.75, pairs.second_middle),
-            ):
+            start = bezier_places(bezier, low)
+            for share, points in zip((0.25, 0.5, 0.75), pairs, strict=True):
                 points[~good] = start[~good] + share * (end[~good] - start[~good])
             good[:] = True
-        done.append(
-            (span[good], low[good], pairs.first_middle[good], pairs.joint[good], pairs.second_middle[good], end[good])
-        )  # fmt: skip
-        middle = 0.5 * (low + high)
+        done.append((span[good], low[good], *(points[good] for points in pairs), end[good]))
+        bounds = np.stack([low, 0.5 * (low + high), high], axis=1)[~good]
         span = np.repeat(span[~good], 2)
-        low, high = _interleaved(low[~good], middle[~good]), _interleaved(middle[~good], high[~good])
-    return _ordered(found, done)
-
-
-def _ordered(found: Spans, done: list[tuple[Ints, Floats, Floats, Floats, Floats, Floats]]) -> ArcPieces:
-    if not done:
-        return ArcPieces(found.starts, np.zeros((0, 2)), np.zeros((0, 2)))
+        low, high = bounds[:, :2].ravel(), bounds[:, 1:].ravel()
     span, low, first, joint, second, end = (np.concatenate(column) for column in zip(*done, strict=True))
     order = np.lexsort((low, span))
     middle = np.stack([first[order], second[order]], axis=1).reshape(-1, 2)
     ends = np.stack([joint[order], end[order]], axis=1).reshape(-1, 2)
-    return ArcPieces(2 * np.searchsorted(span[order], found.starts), middle, ends)
+    return 2 * np.searchsorted(span[order], found.starts), middle, ends
 
 
-def _interleaved(a: Floats, b: Floats) -> Floats:
-    return np.stack([a, b], axis=1).ravel()
-
-
-def _pairs(bezier: Floats, low: Floats, high: Floats) -> Pairs:
-    """Pairs of arcs on the stretches from `low` to `high` of cubics (n, 4, 2), and their distance from them."""
-    start, end = _at(bezier, low), _at(bezier, high)
+def _pairs(bezier: Floats, low: Floats, high: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+    """Pairs of arcs on the stretches from `low` to `high` of cubics (n, 4, 2): middle, joint, middle, and their distance from them."""
+    start, end = bezier_places(bezier, low), bezier_places(bezier, high)
     chord = end - start
     t0, t1 = _direction(bezier, low, chord), _direction(bezier, high, chord)
     along = (chord * (t0 + t1)).sum(axis=1)
@@ -261,14 +192,15 @@ def _pairs(bezier: Floats, low: Floats, high: Floats) -> Pairs:
     first, second = _height(start, joint, t0), -_height(end, joint, -t1)
     inside = np.linspace(0.0, 1.0, SAMPLES + 2)[1:-1]
     t = low[:, None] + (high - low)[:, None] * inside
-    points = _at(np.repeat(bezier, SAMPLES, axis=0), t.ravel()).reshape(-1, SAMPLES, 2)
+    points = bezier_places(np.repeat(bezier, SAMPLES, axis=0), t.ravel()).reshape(-1, SAMPLES, 2)
     before = ((points - joint[:, None]) * heading[:, None]).sum(axis=2) < 0.0
     away = np.where(before, _off_arc(points, start, joint, first), _off_arc(points, joint, end, second))
     error = np.where(np.isfinite(away).all(axis=1), np.abs(away).max(axis=1), np.inf)
-    return Pairs(_middle(start, joint, first), joint, _middle(joint, end, second), error)
+    return _middle(start, joint, first), joint, _middle(joint, end, second), error
 
 
-def _at(bezier: Floats, t: Floats) -> Floats:
+def bezier_places(bezier: Floats, t: Floats) -> Floats:
+    """Places (n, 2) of Bezier spans (n, 4, 2) at a parameter (n,) of each."""
     s, t = 1.0 - t[:, None], t[:, None]
     b = bezier
     return np.asarray(s**3 * b[:, 0] + 3.0 * s * s * t * b[:, 1] + 3.0 * s * t * t * b[:, 2] + t**3 * b[:, 3])
@@ -280,7 +212,8 @@ def _direction(bezier: Floats, t: Floats, chord: Floats) -> Floats:
     leg = np.diff(bezier, axis=1)
     along = s * s * leg[:, 0] + 2.0 * s * t * leg[:, 1] + t * t * leg[:, 2]
     size = np.hypot(along[:, 0], along[:, 1])
-    lost = size <= NO_TANGENT * np.hypot(chord[:, 0], chord[:, 1])
+    # A derivative so much shorter than the chord gives no direction; the chord's is taken.
+    lost = size <= 1e-9 * np.hypot(chord[:, 0], chord[:, 1])
     along = np.where(lost[:, None], chord, along)
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.asarray(along / np.hypot(along[:, 0], along[:, 1])[:, None])
@@ -326,10 +259,9 @@ class Circles:
 
 
 def circles(start: Floats, middle: Floats, end: Floats) -> Circles:
-    """Circle of each arc (n,) by its start, the point half-way along it, and its end, each (n, 2) mm.
+    """Circle of each arc (n,) by its start, the point half-way along it, and its end, each (n, 2) mm, the latter rounded or not.
 
-    The centre is taken on the perpendicular bisector of start and end, so that both radii are equal even
-    where start and end were rounded and the middle was not.
+    The centre lies on the perpendicular bisector of start and end, so that both radii are equal.
     """
     chord = end - start
     half = 0.5 * np.hypot(chord[:, 0], chord[:, 1])
@@ -342,10 +274,9 @@ def circles(start: Floats, middle: Floats, end: Floats) -> Circles:
 
 
 def arc_chords(start: Floats, middle: Floats, end: Floats, tolerance_mm: float) -> tuple[Ints, Floats]:
-    """Points along arcs whose chords keep to `tolerance_mm`; the first point of an arc is not given.
+    """Points (N, 2) along arcs whose chords keep to `tolerance_mm`, but for the first of an arc, after the first of each arc (n + 1,).
 
-    The chord of a sweep s leaves a circle of radius r by ``r (1 - cos(s / 2))``. Returns the first point of each arc, (n + 1,), and the
-    points (N, 2), mm.
+    The chord of a sweep s leaves a circle of radius r by ``r (1 - cos(s / 2))``.
     """
     found = circles(start, middle, end)
     spoke = start - found.centre
@@ -363,3 +294,120 @@ def arc_chords(start: Floats, middle: Floats, end: Floats, tolerance_mm: float) 
     points = found.centre[arc] + np.column_stack([cos * x - sin * y, sin * x + cos * y])
     points[starts[1:] - 1] = end
     return starts, points
+
+
+# Exact cuts of segments at lengths along them: a part of a line, a cubic or an arc is one again.
+HALVINGS = 52  # Bisections of the parameter of a cubic at a length: the bits of a number
+# Cubics that are bisected together: so many stay in the cache. A multiple of four, in which sums of rows are formed.
+AT_ONCE = 1024
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(16)
+
+
+def segment_lengths(kind: NDArray[np.uint8], points: Floats) -> Floats:
+    """Length of each segment, (n,) mm; cubics by 16-point Gauss quadrature.
+
+    `points` (n, 4, 2), mm, are the Bezier points of a cubic, start and end of a line, and those and, second, the middle of an arc.
+    """
+    result: Floats = np.asarray(np.linalg.norm(points[:, 3] - points[:, 0], axis=1))
+    cubic, arc = kind == CUBIC, kind == CIRCULAR
+    result[cubic] = _lengths_to(3.0 * np.diff(points[cubic], axis=1), np.ones(int(cubic.sum())))
+    found = circles(points[arc, 0], points[arc, 1], points[arc, 3])
+    result[arc] = found.sweep_rad * np.linalg.norm(points[arc, 0] - found.centre, axis=1)
+    return result
+
+
+def segment_parts(
+    kind: NDArray[np.uint8], points: Floats, lengths: Floats, low_mm: Floats, high_mm: Floats
+) -> Floats:
+    """Points (n, 4, 2) of the part of each segment from one length along it to another; an end of the segment stays bit for bit."""
+    result = np.empty_like(points)
+    for which, part in ((STRAIGHT, _line_parts), (CIRCULAR, _arc_parts), (CUBIC, _cubic_parts)):
+        rows = np.flatnonzero(kind == which)
+        result[rows] = part(points[rows], lengths[rows], low_mm[rows], high_mm[rows])
+    first, last = low_mm == 0.0, high_mm == lengths
+    result[first, 0], result[last, 3] = points[first, 0], points[last, 3]
+    return result
+
+
+def segment_places(
+    kind: NDArray[np.uint8], points: Floats, lengths: Floats, step_mm: float
+) -> tuple[Ints, Floats, Floats, Floats]:
+    """Places in the middle of pieces, of at most a length, of segments: the segment (m,), mm from its start, the place (m, 2), length of the piece."""
+    count = np.maximum(np.ceil(lengths / step_mm), 1.0).astype(np.int64)
+    owner = np.repeat(np.arange(count.size), count)
+    t = (np.arange(owner.size) - np.repeat(np.cumsum(count) - count, count) + 0.5) / count[owner]
+    places = points[owner, 0] + t[:, None] * (points[owner, 3] - points[owner, 0])
+    cubic, arc = (np.flatnonzero(kind[owner] == which) for which in (CUBIC, CIRCULAR))
+    at = np.broadcast_to(t[cubic], (3, cubic.size))
+    places[cubic] = _polar(points[owner[cubic]], *at)
+    places[arc] = _on_arcs(points[owner[arc]], t[arc])
+    return owner, t * lengths[owner], places, (lengths / count)[owner]
+
+
+def _on_arcs(points: Floats, t: Floats) -> Floats:
+    """Places (n, 2) at shares of the sweep of arcs."""
+    found = circles(points[:, 0], points[:, 1], points[:, 3])
+    spoke = points[:, 0] - found.centre
+    turn = t * np.where(found.counter_clockwise, found.sweep_rad, -found.sweep_rad)
+    cos, sin = np.cos(turn), np.sin(turn)
+    turned = (cos * spoke[:, 0] - sin * spoke[:, 1], sin * spoke[:, 0] + cos * spoke[:, 1])
+    return np.asarray(found.centre + np.column_stack(turned))
+
+
+def _line_parts(points: Floats, lengths: Floats, low: Floats, high: Floats) -> Floats:
+    way = points[:, 3] - points[:, 0]
+    a, b = (points[:, 0] + way * (at / lengths)[:, None] for at in (low, high))
+    return np.stack([a, a, b, b], axis=1)
+
+
+def _arc_parts(points: Floats, lengths: Floats, low: Floats, high: Floats) -> Floats:
+    middle = _on_arcs(points, 0.5 * (low + high) / lengths)
+    first, last = (_on_arcs(points, at / lengths) for at in (low, high))
+    return np.stack([first, middle, middle, last], axis=1)
+
+
+def _cubic_parts(points: Floats, lengths: Floats, low: Floats, high: Floats) -> Floats:
+    """Parts of cubics by their polar form (Farin, Curves and Surfaces)."""
+    u, v = (_cubic_parameters(points, length) for length in (low, high))
+    polar = partial(_polar, points)
+    return np.stack([polar(u, u, u), polar(u, u, v), polar(u, v, v), polar(v, v, v)], axis=1)
+
+
+def _polar(points: Floats, *parameters: Floats) -> Floats:
+    level = points
+    for t in parameters:
+        level = level[:, :-1] + t[:, None, None] * np.diff(level, axis=1)
+    return np.asarray(level[:, 0])
+
+
+def _cubic_parameters(points: Floats, length: Floats) -> Floats:
+    """Parameter of each cubic at a length along it, (n,)."""
+
+    def bisected(rows: slice) -> Floats:
+        derivative, wanted = 3.0 * np.diff(points[rows], axis=1), length[rows]
+        low, high = np.zeros(wanted.size), np.ones(wanted.size)
+        for _ in range(HALVINGS):
+            middle = 0.5 * (low + high)
+            short = _lengths_to(derivative, middle) < wanted
+            low, high = np.where(short, middle, low), np.where(short, high, middle)
+        return 0.5 * (low + high)
+
+    def some(first: int, last: int) -> Floats:
+        return np.concatenate([bisected(slice(AT_ONCE * k, AT_ONCE * (k + 1))) for k in range(first, last)])
+
+    blocks = run_blocks(some, math.ceil(len(points) / AT_ONCE)) if len(points) else [np.zeros(0)]
+    return np.concatenate(blocks)
+
+
+def _lengths_to(derivative: Floats, t: Floats) -> Floats:
+    """Length from 0 to t, (n,), of cubics whose derivatives have the Bezier points (n, 3, 2)."""
+    u = 0.5 * t[:, None] * (NODES + 1.0)
+    rest = 1.0 - u
+    shares = (rest**2, 2.0 * rest * u, u**2)
+    x, y = (
+        shares[0] * derivative[:, 0, axis, None]
+        + shares[1] * derivative[:, 1, axis, None]
+        + shares[2] * derivative[:, 2, axis, None]
+        for axis in (0, 1)
+    )
+    return np.asarray(0.5 * t * (np.hypot(x, y) @ WEIGHTS))

@@ -1,10 +1,7 @@
 """Blocks that turn a tilt table for a layer and set its frame, and those that take both back.
 
-The positions of the rotary axes follow from the slicing direction in closed form (the second of the subproblems of Paden and
-Kahan). Beam and wire are off, the tip is over the highest place that anything on the table comes to while it turns, and each axis
-turns by itself. Then ``TRANS`` sets the zero of the turned part, ``AROT Z`` its turn about the vertical, and the first way gives
-X, Y and Z. Source of the frames: Siemens NC Programming manual 12/2019, section 2.12: TRANS takes every frame back and shifts,
-AROT turns about the zero that is in force, counter-clockwise for one who looks against the axis.
+Positions of the axes follow in closed form (second subproblem of Paden and Kahan); the tip is over all that the table carries. Frames by
+Siemens NC Programming manual 12/2019, 2.12: TRANS takes every frame back and shifts, AROT turns counter-clockwise about the zero in force.
 """
 
 from __future__ import annotations
@@ -40,14 +37,12 @@ class Tilt:
         """Blocks that turn the table and set the frame; then the tool stands over the place `first` of the layer."""
         x, y = form.value(first[0]), form.value(first[1])
         zero = " ".join(f"{axis}{form.value(v)}" for axis, v in zip("XYZ", self.zero_mm, strict=True))
+        positions = zip(config.machine.rotary, self.positions_deg, strict=True)
         return [
             *off,
             f"G0 Z{form.value(self.up_mm)}",
             comment("TABLE TURNED"),
-            *(
-                f"G0 {_word(axis, form.value(at))}"
-                for axis, at in zip(config.machine.rotary, self.positions_deg, strict=True)
-            ),
+            *(f"G0 {_word(axis, form.value(at))}" for axis, at in positions),
             f"TRANS {zero}",
             f"AROT Z{form.value(self.turn_deg)}",
             f"G0 X{x} Y{y} Z{self._above(form)}",
@@ -75,10 +70,7 @@ def _word(axis: RotaryAxis, value: str) -> str:
 
 
 def tilt_of(config: Config, form: BlockFormat) -> Tilt | None:
-    """How the table is turned for the part of the settings; None where nothing is turned.
-
-    Refused where the table cannot turn the direction up within its limits, or needs more height than the machine has.
-    """
+    """How the table is turned for the part of the settings, None where nothing is; SettingsError where limits or height leave no way."""
     stands = config.part.on_table
     if stands is None:
         return None
@@ -98,8 +90,6 @@ def tilt_of(config: Config, form: BlockFormat) -> Tilt | None:
 def positions_of(direction: Floats, axes: Sequence[RotaryAxis]) -> tuple[float, ...]:
     """Positions, degrees, that turn a direction of the table up: the ones nearest to 0 of those within the limits.
 
-    Examples
-    --------
     >>> tilting = RotaryAxis(name="A", axis=(1, 0, 0), point_mm=(0, 0, 0))
     >>> positions_of(np.array([0.0, 1.0, 0.0]), [tilting])
     (90.0,)
@@ -122,8 +112,7 @@ def _turns(unit: Floats, lines: Sequence[Floats]) -> list[tuple[float, ...]]:
     across = np.cross(outer, inner)
     size = float(across @ across)
     if size < PARALLEL:
-        alone = _turn(unit, UP, outer)
-        return [(alone, 0.0)] if abs(outer @ (unit - UP)) < PARALLEL else []
+        return [(_turn(unit, UP, outer), 0.0)] if abs(outer @ (unit - UP)) < PARALLEL else []
     # What the inner turn leaves, v, has the parts of the direction along the inner line and of the vertical along the outer one.
     both, a, b = float(outer @ inner), float(outer @ UP), float(inner @ unit)
     one, two = (a - both * b) / size, (b - both * a) / size
@@ -165,13 +154,11 @@ def _line(axis: RotaryAxis) -> tuple[Floats, Floats]:
 def _rotation(line: Floats, angle_rad: float) -> Floats:
     """Matrix of a turn about a unit vector, by its quaternion."""
     w, (x, y, z) = math.cos(0.5 * angle_rad), line * math.sin(0.5 * angle_rad)
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    return np.array([
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ])  # fmt: skip
 
 
 def table_motion(axes: Sequence[RotaryAxis], positions_deg: Sequence[float]) -> tuple[Floats, Floats]:
@@ -194,10 +181,8 @@ def _up_mm(config: Config, positions_deg: tuple[float, ...], form: BlockFormat) 
     up_mm = float(np.ceil((highest + config.machine.safe_height_mm) * 1000.0) / 1000.0)
     limit = config.machine.travel_max_mm[2]
     if up_mm > limit:
-        raise SettingsError(
-            f"machine.rotary: the table turns below Z {up_mm:g} mm (all that it carries, and machine.safe_height_mm), and machine.travel_max_mm "
-            f"ends at {limit:g} mm"
-        )
+        what = f"the table turns below Z {up_mm:g} mm (all that it carries, and machine.safe_height_mm)"
+        raise SettingsError(f"machine.rotary: {what}, and machine.travel_max_mm ends at {limit:g} mm")
     return float(form.value(up_mm))
 
 

@@ -1,13 +1,13 @@
-"""The plain description of a program that every post-processor writes: tracks of beads, layer by layer.
+"""The plain description of a program that every post-processor writes: tracks of beads, layer by layer, contour rings before hatch.
 
-A track is one unbroken bead: the beam and the wire go on at its start and off at its end. Contour rings come
-first, then the hatch of the islands in scan order.
+A track is one unbroken bead: the beam and the wire go on at its start and off at its end.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,8 +24,8 @@ from ebamcheck.nc.inputs import (
 )
 from ebamcheck.scan.filling.schedule import follows
 from ebamcheck.settings.config import Config
-from ebamcheck.writing.cuts import segment_lengths
-from ebamcheck.writing.segments import CIRCULAR, CUBIC, STRAIGHT, Circles, Form, circles, contour_segments
+from ebamcheck.writing import segments
+from ebamcheck.writing.segments import CIRCULAR, CUBIC, STRAIGHT, Circles, Form
 
 # An arc that leaves its chord by less is written as a line: a tenth of what a path read back may be off by, and its centre would lie too
 # far away for the numbers of a control.
@@ -69,7 +69,7 @@ class Toolpath:
 
     @cached_property
     def points(self) -> Floats:
-        """(N, 4, 2) points of each segment, as :mod:`ebamcheck.writing.cuts` takes them."""
+        """(N, 4, 2) points of each segment, as :mod:`ebamcheck.writing.segments` takes them."""
         points = np.stack([self.segment_start, self.segment_start, self.end, self.end], axis=1)
         points[self.kind == CUBIC] = self.bezier
         points[self.kind == CIRCULAR, 1:3] = self.middle[:, None]
@@ -78,13 +78,13 @@ class Toolpath:
     @cached_property
     def lengths(self) -> Floats:
         """(N,) length of each segment, mm."""
-        return segment_lengths(self.kind, self.points)
+        return segments.segment_lengths(self.kind, self.points)
 
     @cached_property
     def circles(self) -> Circles:
         """Circles of the circular segments alone, in their order."""
         at = self.kind == CIRCULAR
-        return circles(self.segment_start[at], self.middle, self.end[at])
+        return segments.circles(self.segment_start[at], self.middle, self.end[at])
 
 
 def toolpath(
@@ -92,8 +92,7 @@ def toolpath(
 ) -> Toolpath:
     """Lay out the tracks of a stack, each at one power from its start to its end, positions rounded to `decimals`.
 
-    Splines become what `form` says, and leave their curve by at most `tolerance_mm`; refused where curves and plan are of different
-    stacks, or heights do not rise.
+    Splines become what `form` says, and leave their curve by at most `tolerance_mm`; SettingsError where heights do not rise.
     """
     check_same_stack(curves, plan)
     cut = np.asarray(curves.heights, dtype=np.float64)
@@ -123,39 +122,31 @@ def cleaned(path: Toolpath, decimals: int) -> Toolpath:
     )  # fmt: skip
 
 
-@dataclass(frozen=True, eq=False)
-class _Tracks:
-    """Tracks of one sort."""
-
-    layer: Ints
-    starts: Ints
-    start: Floats
-    ring: Ints
-    island: Ints
-    kind: NDArray[np.uint8]
-    end: Floats
-    turn: Bools
-    piece: Ints
-    bezier: Floats
-    middle: Floats
+# Columns of the tracks of one sort, as a path has them, and the layer of each track.
+_Columns = dict[str, np.ndarray[Any, Any]]
 
 
-def _contour_tracks(curves: CurveColumns, form: Form, tolerance_mm: float, decimals: int) -> _Tracks:
-    made = contour_segments(curves, form, tolerance_mm)
+def _contour_tracks(curves: CurveColumns, form: Form, tolerance_mm: float, decimals: int) -> _Columns:
+    made = segments.contour_segments(curves, form, tolerance_mm)
     ring_starts = np.asarray(curves.ring_starts, dtype=np.int64)
     ring = np.flatnonzero(np.diff(ring_starts) > 0)
-    layer = np.repeat(np.arange(len(curves.heights)), np.diff(curves.layer_starts))[ring]
     first = np.asarray(curves.control_starts)[ring_starts[ring]]
-    return _Tracks(
-        layer=layer, starts=np.append(made.starts[ring_starts[ring]], made.kind.size).astype(np.int64),
-        start=rounded(np.asarray(curves.control, dtype=np.float64)[first], decimals), ring=ring,
-        island=np.full(ring.size, -1), kind=made.kind, end=rounded(made.end, decimals),
-        turn=np.zeros(made.kind.size, np.bool_), piece=np.repeat(np.arange(len(curves.kind)), np.diff(made.starts)),
-        bezier=made.bezier, middle=made.middle,
-    )  # fmt: skip
+    return {
+        "layer": np.repeat(np.arange(len(curves.heights)), np.diff(curves.layer_starts))[ring],
+        "track_starts": np.append(made.starts[ring_starts[ring]], made.kind.size).astype(np.int64),
+        "start": rounded(np.asarray(curves.control, dtype=np.float64)[first], decimals),
+        "ring": ring,
+        "island": np.full(ring.size, -1),
+        "kind": made.kind,
+        "end": rounded(made.end, decimals),
+        "turn": np.zeros(made.kind.size, np.bool_),
+        "piece": np.repeat(np.arange(len(curves.kind)), np.diff(made.starts)),
+        "bezier": made.bezier,
+        "middle": made.middle,
+    }
 
 
-def _hatch_tracks(plan: ScanColumns, spacing_mm: float, decimals: int) -> _Tracks:
+def _hatch_tracks(plan: ScanColumns, spacing_mm: float, decimals: int) -> _Columns:
     """Hatch tracks: lines of one island that follow each other are one track, with the turns between them."""
     island, ends = hatch_columns(plan)
     ends = rounded(ends, decimals)
@@ -164,36 +155,41 @@ def _hatch_tracks(plan: ScanColumns, spacing_mm: float, decimals: int) -> _Track
         raise SettingsError("hatch vectors of the scan plan are not in the order of layers")
     joined = follows(island, ends[:, :2], ends[:, 2:], spacing_mm)
     # A vector is a line to its end, and a turn to its start before it where it is joined.
-    points = ends.reshape(-1, 2)
     turn = np.tile([True, False], len(ends))
     present = np.repeat(joined, 2) | ~turn
     first = np.flatnonzero(~joined)
-    track_starts = np.append(np.concatenate([[0], np.cumsum(present)])[2 * first], present.sum())
+    starts = np.append(np.concatenate([[0], np.cumsum(present)])[2 * first], present.sum())
     size = int(present.sum())
-    return _Tracks(
-        layer=layer[first], starts=track_starts.astype(np.int64), start=ends[first, :2], ring=np.full(first.size, -1),
-        island=island[first], kind=np.full(size, STRAIGHT, np.uint8), end=points[present], turn=turn[present],
-        piece=np.full(size, -1), bezier=np.zeros((0, 4, 2)), middle=np.zeros((0, 2)),
-    )  # fmt: skip
+    return {
+        "layer": layer[first],
+        "track_starts": starts.astype(np.int64),
+        "start": ends[first, :2],
+        "ring": np.full(first.size, -1),
+        "island": island[first],
+        "kind": np.full(size, STRAIGHT, np.uint8),
+        "end": ends.reshape(-1, 2)[present],
+        "turn": turn[present],
+        "piece": np.full(size, -1),
+        "bezier": np.zeros((0, 4, 2)),
+        "middle": np.zeros((0, 2)),
+    }
 
 
-def _merged(cut: Floats, z: Floats, contours: _Tracks, hatch: _Tracks, width_mm: float) -> Toolpath:
+def _merged(cut: Floats, z: Floats, contours: _Columns, hatch: _Columns, width_mm: float) -> Toolpath:
     """Contours of each layer before its hatch. Only contours have cubics and arcs, so that their order stays."""
-    layer = np.concatenate([contours.layer, hatch.layer])
-    order = np.argsort(layer, kind="stable")
-    count = np.concatenate([np.diff(contours.starts), np.diff(hatch.starts)])[order]
-    first = np.concatenate([contours.starts[:-1], hatch.starts[:-1] + contours.kind.size])[order]
+    both = {name: np.concatenate([contours[name], hatch[name]]) for name in contours}
+    order = np.argsort(both["layer"], kind="stable")
+    begins = (contours["track_starts"], hatch["track_starts"] + contours["kind"].size)
+    count = np.concatenate([np.diff(begin) for begin in begins])[order]
+    first = np.concatenate([begin[:-1] for begin in begins])[order]
     starts = np.concatenate([[0], np.cumsum(count)]).astype(np.int64)
     rows = np.repeat(first - starts[:-1], count) + np.arange(starts[-1])
+    tracks: dict[str, Any] = {name: both[name][order] for name in ("start", "ring", "island")}
+    of_segments: dict[str, Any] = {name: both[name][rows] for name in ("kind", "end", "turn", "piece")}
+    layers = np.searchsorted(both["layer"][order], np.arange(cut.size + 1)).astype(np.int64)
     return Toolpath(
-        cut=cut, z=z, layer_starts=np.searchsorted(layer[order], np.arange(cut.size + 1)).astype(np.int64),
-        track_starts=starts, start=np.concatenate([contours.start, hatch.start])[order],
-        ring=np.concatenate([contours.ring, hatch.ring])[order],
-        island=np.concatenate([contours.island, hatch.island])[order],
-        kind=np.concatenate([contours.kind, hatch.kind])[rows], end=np.concatenate([contours.end, hatch.end])[rows],
-        turn=np.concatenate([contours.turn, hatch.turn])[rows],
-        piece=np.concatenate([contours.piece, hatch.piece])[rows], bezier=contours.bezier, middle=contours.middle,
-        power=np.ones(rows.size), goes_on=np.zeros(rows.size, np.bool_), width=np.full(rows.size, width_mm),
+        cut=cut, z=z, layer_starts=layers, track_starts=starts, **tracks, **of_segments, bezier=both["bezier"],
+        middle=both["middle"], power=np.ones(rows.size), goes_on=np.zeros(rows.size, np.bool_), width=np.full(rows.size, width_mm),
     )  # fmt: skip
 
 

@@ -1,14 +1,13 @@
 """Wire for each bead: the widths by which a layer gets its height everywhere.
 
-What a bead lays is told by a *width*, mm: its metal in section over the height of the layer. Parallel beads one spacing
-apart lay one spacing each; the bead along a contour lays the rim outside of it, too; a bead that another one overlaps
-lays less. A hatch bead has one width from its start to its end, a contour changes it along itself where walls get thin.
+A *width*, mm, is the metal of a bead in section over the height of the layer: one spacing for parallel beads, more along a contour, whose
+bead lays the rim, less where beads overlap. A hatch bead has one width; a contour changes it along itself where walls get thin.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,27 +26,20 @@ from ebamcheck.scan.islands.clipping import THIN_WALL
 from ebamcheck.settings.config import Config
 from ebamcheck.threads import run_each
 from ebamcheck.writing.bead_parts import ROUNDING_MM, Parts, Stretches, Tracks, cut, parts_of, snapped
-from ebamcheck.writing.cuts import segment_places
+from ebamcheck.writing.segments import segment_places
 from ebamcheck.writing.tracks import Toolpath
 
 # Length of contour, in bead widths, over which its wire is worked out: shorter ones would follow single hatch lines.
 STRETCH_BEADS = 1.0
 # Neighbouring stretches of a contour whose widths differ by less than this factor get one wire speed: the ends of hatch lines beside it
-# make as much of a difference, every change is a block, and a wall half as thick makes more.
-ALIKE = 1.15
-# The same of all beads on a surface that was measured: what is known is followed more closely.
-ALIKE_MAPPED = 1.05
+# make as much of a difference, and a wall half as thick makes more. On a surface that was measured, beads follow it more closely.
+ALIKE, ALIKE_MAPPED = 1.15, 1.05
 MOST_MENDED = 0.2  # Share of its height by which a layer is planned thicker or thinner for that at most
-# Width of the rim, over the bead width, and how much it counts where wire is worked out: a bead is a dome, whose flank along a contour is
-# low whatever wire it gets.
+# Width of the rim, over the bead width, and how much it counts: a bead is a dome, whose flank is low whatever wire it gets.
 RIM_BEADS, RIM_WEIGHT = 0.25, 0.4
-# Share of the tolerance on the mass of a layer that mending may use: tips of corners that no bead reaches stay bare, and their metal
-# would raise the rest, layer by layer.
-MASS_ROOM = 0.9
-# Distance, over the bead width, of the places along beads at which their metal is laid.
-PLACE_SHARE = 1.0 / 6.0
-# The same where the surface that a layer leaves is worked out: at the tips of corners half a cell decides whether they are bare.
-POOL_SHARE = 1.0 / 12.0
+# Distance, over the bead width, of the places along beads at which their metal is laid, and of those by which the surface that a layer
+# leaves is worked out: at the tips of corners half a cell decides whether they are bare.
+PLACE_SHARE, POOL_SHARE = 1.0 / 6.0, 1.0 / 12.0
 WIDTH_DIGITS = 4  # Decimals of a width, mm: a hundred-thousandth of the metal
 
 
@@ -67,41 +59,32 @@ def with_wire(path: Toolpath, plan: ScanColumns, config: Config, decimals: int) 
 
 
 def wired(path: Toolpath, plan: ScanColumns, config: Config, surface: Surface) -> Parts:
-    """Parts of the segments of a path, each of one width; `surface` is what the layers lie on, and they are laid on it.
-
-    The plan knows its sections.
-    """
+    """Parts of the segments of a path, each of one width; `surface` is what the layers lie on, and they are laid on it."""
     tracks = Tracks.of(path)
+    # On a surface that was measured the wire of every bead follows it; else hatch beads have one wire each, and those along walls change it.
+    wall = np.append(np.asarray(plan.island_kind) == THIN_WALL, False)
+    divided = np.asarray(surface.mapped | (path.ring >= 0) | wall[path.island], np.bool_)
     whole = config.machine.curve_form == "bspline" and not config.machine.poly_licensed
-    # On a surface that was measured the wire of every bead follows it; else hatch beads have one wire each.
-    divided = np.ones(tracks.low.size, np.bool_) if surface.mapped else _along_walls(path, plan)
-    division = _Division.of(
-        tracks, divided, math.inf if whole else STRETCH_BEADS * config.process.bead_width_mm
-    )
-    sections: Sequence[BaseGeometry] = () if plan.sections is None else list(plan.sections)
-    regions = [metal_region(section, config) for section in sections]
+    stretch_mm = math.inf if whole else STRETCH_BEADS * config.process.bead_width_mm
+    division = _Division.of(tracks, divided, stretch_mm)
+    assert plan.sections is not None
+    regions = [metal_region(section, config) for section in plan.sections]
 
-    found = run_each(
-        lambda k: _layer_beads(path, k, tracks, division, regions[k], surface.step_mm, config),
-        range(len(path.z)),
-    )
-    made = [
-        _flat(beads, surface, division, tracks, float(h), config, float(share))
-        for beads, h, share in zip(found, path.thickness, interpass_of(plan, config).power_share, strict=True)
-    ]
-    return parts_of(path, tracks, joined(made))
+    def laid_out(k: int) -> _LayerBeads:
+        return _layer_beads(path, k, tracks, division, regions[k], surface.step_mm, config)
+
+    shares, made = interpass_of(plan, config).power_share, list[Stretches]()
+    for beads, h, share in zip(run_each(laid_out, range(len(path.z))), path.thickness, shares, strict=True):
+        made.append(_flat(beads, surface, division, tracks, float(h), config, float(share)))
+    columns = ([getattr(s, name) for s in made] for name in ("track", "low", "high", "lap", "width"))
+    track, low, high, lap, width = (np.concatenate(column) for column in columns)
+    return parts_of(path, tracks, Stretches(track, low, high, lap, width=width))
 
 
 def bare_surface(sections: Iterable[BaseGeometry], config: Config) -> Surface:
     """Surface over the metal of all layers, of which none is laid yet."""
     regions = [metal_region(section, config) for section in sections]
     return Surface(np.nan_to_num(shapely.total_bounds(regions)), config.process.bead_width_mm)
-
-
-def _along_walls(path: Toolpath, plan: ScanColumns) -> Bools:
-    """Tracks (T,) along walls, whose metal changes with the wall: contours, and the beads of thin walls."""
-    wall = np.asarray(plan.island_kind) == THIN_WALL
-    return np.asarray((path.ring >= 0) | (wall[path.island] if wall.size else False), np.bool_)
 
 
 def _flat(
@@ -143,7 +126,8 @@ def _wanted(target: Target, surface: Surface, thickness_mm: float, config: Confi
     over = surface.mended * surface.over_mm(target) / thickness_mm
     wanted = target.share * np.clip(1.0 - over, 1.0 - MOST_MENDED, 1.0 + MOST_MENDED)
     # Metal is moved; in all, the layer gets as much more or less as its tolerance leaves room for.
-    most = MASS_ROOM * config.process.mass_tolerance
+    # Tips of corners that no bead reaches stay bare: their metal would raise the rest.
+    most = 0.9 * config.process.mass_tolerance
     mean = float(np.average(over, weights=target.share))
     wanted *= target.share.sum() * min(max(1.0 - mean, 1.0 - most), 1.0 + most) / wanted.sum()
     depth_mm = border_distance(target.share > HALF) * surface.step_mm
@@ -151,14 +135,12 @@ def _wanted(target: Target, surface: Surface, thickness_mm: float, config: Confi
     return wanted, np.where(rim, RIM_WEIGHT, 1.0)
 
 
+@dataclass(frozen=True, eq=False)
 class _Division:
     """Division of all tracks into stretches (S,), in order: contours and wall beads are divided evenly, others are one."""
 
-    def __init__(self, starts: Ints, length: Floats) -> None:
-        self.starts = starts
-        """(T + 1,) first stretch of each track."""
-        self.length = length
-        """(T,) mm of a stretch of each track."""
+    starts: Ints  # (T + 1,) first stretch of each track
+    length: Floats  # (T,) mm of a stretch of each track
 
     @classmethod
     def of(cls, tracks: Tracks, divided: Bools, stretch_mm: float) -> _Division:
@@ -201,18 +183,14 @@ def runs_alike(track: Ints, width: Floats, factor: float) -> Bools:
 
 @dataclass(frozen=True, eq=False)
 class _LayerBeads:
-    """What one layer is to be, its stretches `every` (n,), and where their metal lies: by bead, and place by place.
-
-    `cells` (m, 2) are places along the beads in cells of the target, `length_mm` (m,) of path that each stands for, `stretch` (m,) its
-    number among `every`.
-    """
+    """What one layer is to be, and where the metal of its stretches lies."""
 
     target: Target
-    every: Ints
-    footprints: Footprints
-    cells: Floats
-    length_mm: Floats
-    stretch: Ints
+    every: Ints  # (n,) stretches
+    footprints: Footprints  # of each bead
+    cells: Floats  # (m, 2) places along the beads, in cells of the target
+    length_mm: Floats  # (m,) of path that each place stands for
+    stretch: Ints  # (m,) its number among all
 
 
 def _layer_beads(
@@ -239,12 +217,3 @@ def _layer_beads(
     radius = 0.5 * bead_mm / step_mm
     by_bead = footprints(*places(bead_mm * PLACE_SHARE), every.size, radius, target.share.shape)
     return _LayerBeads(target, every, by_bead, *places(bead_mm * POOL_SHARE))
-
-
-def joined(layers: Sequence[Stretches]) -> Stretches:
-    """Stretches of all layers, one behind the other."""
-    track, low, high, lap = (
-        np.concatenate([getattr(s, name) for s in layers]) for name in ("track", "low", "high", "lap")
-    )
-    width = np.concatenate([s.width for s in layers if s.width is not None])
-    return Stretches(track, low, high, lap, width=width)

@@ -1,7 +1,4 @@
-"""The controls LinuxCNC and plain G-code: their templates, codes and modal groups, and the names of their writers and readers.
-
-Source of the modal groups: LinuxCNC G-code reference.
-"""
+"""The controls LinuxCNC and plain G-code: templates, codes, and modal groups (LinuxCNC G-code reference); their writers and readers by name."""
 
 from __future__ import annotations
 
@@ -28,8 +25,6 @@ GROUPS = (
     Group("other axes", ("A", "B", "C", "U", "V", "W", "G28", "G30", "G33", "G38.2", "G4", "G5.1", "G5.2", "G5.3", "E")),
     Group("program flow", ("M0", "M1", "M2", "M30", "M60", "M98", "M99", "O", "G65", "G66")),
 )  # fmt: skip
-
-# -- LinuxCNC ----------------------------------------------------------------------------------------
 
 # M64, M65 switch digital outputs at once, M68 sets analog ones, M67 does with the motion that follows: the beam is given its
 # current at once before it is switched on, or it would stand at that of before.
@@ -60,15 +55,19 @@ def _linuxcnc_words(machine: MachineSettings) -> tuple[str, ...]:
     return "G17", "G21", "G90", "G91.1", "G94", *offsets_off, machine.work_offset, "G64"
 
 
+def lines_of_curves(machine: MachineSettings) -> dict[str, str]:
+    """Line of the header on curves of controls that have arcs and lines alone."""
+    g1 = machine.curve_form == "lines"
+    return {"CURVES": f"{'G1' if g1 else 'G2 and G3'}, within {machine.line_tolerance_mm:g} mm"}
+
+
 def _linuxcnc_lines(machine: MachineSettings) -> dict[str, str]:
     """Lines of the header on curves and smoothing."""
-    g1 = machine.curve_form == "lines"
-    within = f"{'G1' if g1 else 'G2 and G3'}, within {machine.line_tolerance_mm:g} mm"
     tolerance = plain(machine.smoothing_tolerance_mm)
-    return {
-        "CURVES": within if machine.curve_form in ("arcs", "lines") else "G5, exactly",
-        "SMOOTHING": f"G64 P{tolerance}, path may leave the program by {tolerance} mm",
-    }
+    curves = (
+        lines_of_curves(machine) if machine.curve_form in ("arcs", "lines") else {"CURVES": "G5, exactly"}
+    )
+    return curves | {"SMOOTHING": f"G64 P{tolerance}, path may leave the program by {tolerance} mm"}
 
 
 LINUXCNC = Control(
@@ -86,8 +85,6 @@ LINUXCNC = Control(
     smoothing_needs_tolerance="G64",
 )
 
-
-# -- plain G-code: hobby and laser controls, M3 S and M5 for the source, M42 for a pin, M8 and M9 ---------
 
 PLAIN_TEMPLATES = {
     "beam_on": ("M3 S{power_w} ; beam on, W",),
@@ -111,12 +108,6 @@ def _plain_words(machine: MachineSettings) -> tuple[str, ...]:
     return "G17", "G21", "G90", "G94", "G40", "G49", "G80", "G92.1", machine.work_offset
 
 
-def _plain_lines(machine: MachineSettings) -> dict[str, str]:
-    """Lines of the header on curves."""
-    g1 = machine.curve_form == "lines"
-    return {"CURVES": f"{'G1' if g1 else 'G2 and G3'}, within {machine.line_tolerance_mm:g} mm"}
-
-
 PLAIN_GCODE = Control(
     name="plain-gcode",
     writer="ebamcheck.controls.gcode.writing:write_plain_gcode",
@@ -127,6 +118,6 @@ PLAIN_GCODE = Control(
     dwell_address="S",
     groups=GROUPS,
     words=_plain_words,
-    form_lines=_plain_lines,
+    form_lines=lines_of_curves,
     splines="arcs",
 )

@@ -58,16 +58,12 @@ class GcodeReader(Reader):
     def split(self, text: str) -> tuple[str, list[str]]:
         """Code of a line, with blanks in place of its comments, and the comments; refused where the control runs one of them."""
         code, mark, tail = text.partition(";")
-        comments = [found[1] for found in _COMMENT.finditer(code)]
-        if comments:
-            code = _COMMENT.sub(lambda found: " " * len(found[0]), code)
-        for column, character in enumerate(code):
-            if character in "()":
-                raise WordError("a parenthesis without its other half", column)
-        comments += [tail] if mark else []
-        for comment in comments:
-            if _RUN.match(comment):
-                raise WordError(f"the control runs the comment {comment.strip()!r}", 0)
+        comments = [*_COMMENT.findall(code), *([tail] if mark else [])]
+        code = _COMMENT.sub(lambda found: " " * len(found[0]), code)
+        if half := re.search(r"[()]", code):
+            raise WordError("a parenthesis without its other half", half.start())
+        for comment in filter(_RUN.match, comments):
+            raise WordError(f"the control runs the comment {comment.strip()!r}", 0)
         return code, comments
 
     def state_word(self, word: str) -> None:

@@ -1,7 +1,6 @@
 """Post-processors for controls that take one file: LinuxCNC (G5, arcs, lines) and plain G-code (arcs, lines).
 
-Sources: LinuxCNC G-code reference (G5 carries a cubic span as ``I J P Q``, from the start to the second Bezier
-point and from the end to the third; G64 P is the tolerance of the path; G91.1 makes I and J relative).
+LinuxCNC G-code reference: G5 carries a cubic span as ``I J P Q``; G64 P is the tolerance of the path; G91.1 makes I and J relative.
 """
 
 from __future__ import annotations
@@ -23,16 +22,11 @@ def write_linuxcnc(
     curves: CurveColumns, plan: ScanColumns, config: Config, folder: str | Path, *, validated: bool = False,
     header: Mapping[str, str] | None = None, path: Toolpath | None = None,
 ) -> ProgramFiles:  # fmt: skip
-    """Write one ``.ngc`` file: splines as G5, exactly, unless ``machine.curve_form`` asks for arcs or lines.
-
-    Takes and raises what :func:`ebamcheck.write_program` does.
-    """
-    machine = config.machine
+    """Write one ``.ngc`` file: splines as G5, exactly, or as arcs or lines; takes and raises what :func:`ebamcheck.write_program` does."""
     forms: Mapping[str, Form] = {"arcs": "arcs", "lines": "chords"}
-    form = forms.get(machine.curve_form, "cubics")
-    tolerance = plain(machine.smoothing_tolerance_mm)
-    modes = ["G17 G21 G90 G91.1 G94", "G40 G49 G80", "G92.1", machine.work_offset, f"G64 P{tolerance}"]
-    post = Post.of(curves, plan, config, LINUXCNC, form, path)
+    tolerance = plain(config.machine.smoothing_tolerance_mm)
+    modes = ["G17 G21 G90 G91.1 G94", "G40 G49 G80", "G92.1", config.machine.work_offset, f"G64 P{tolerance}"]
+    post = Post.of(curves, plan, config, LINUXCNC, forms.get(config.machine.curve_form, "cubics"), path)
     return _write(post, modes, Path(folder), validated, header)
 
 
@@ -40,13 +34,9 @@ def write_plain_gcode(
     curves: CurveColumns, plan: ScanColumns, config: Config, folder: str | Path, *, validated: bool = False,
     header: Mapping[str, str] | None = None, path: Toolpath | None = None,
 ) -> ProgramFiles:  # fmt: skip
-    """Write one ``.gcode`` file of G0 to G3: splines as arcs within ``machine.line_tolerance_mm``, or as lines.
-
-    Takes and raises what :func:`ebamcheck.write_program` does.
-    """
-    machine = config.machine
-    form: Form = "chords" if machine.curve_form == "lines" else "arcs"
-    modes = ["G17 G21 G90 G94", "G40 G49 G80", "G92.1", machine.work_offset]
+    """Write one ``.gcode`` file of G0 to G3, splines as arcs or lines; takes and raises what :func:`ebamcheck.write_program` does."""
+    form: Form = "chords" if config.machine.curve_form == "lines" else "arcs"
+    modes = ["G17 G21 G90 G94", "G40 G49 G80", "G92.1", config.machine.work_offset]
     post = Post.of(curves, plan, config, PLAIN_GCODE, form, path)
     return _write(post, modes, Path(folder), validated, header)
 
@@ -55,8 +45,7 @@ def _write(
     post: Post, modes: list[str], folder: Path, validated: bool, header: Mapping[str, str] | None
 ) -> ProgramFiles:
     program = post.config.machine.program_name
-    lines = one_file(post, modes, validated, header)
-    text = "\n".join([comment(program), *lines, "M2"]) + "\n"
+    text = "\n".join([comment(program), *one_file(post, modes, validated, header), "M2"]) + "\n"
     return write_files({f"{program}{post.control.suffixes[0].lower()}": text}, folder, validated=validated)
 
 
@@ -64,9 +53,8 @@ def one_file(post: Post, modes: list[str], validated: bool, header: Mapping[str,
     """Lines of a program that is one file, from its status to the place where the tool is parked."""
     path = post.path
     at = path.kind == CUBIC
-    motions = motion_text(
-        path, post.form, post.form.beziers(path.bezier, path.segment_start[at], path.end[at])
-    )
+    cubics = post.form.beziers(path.bezier, path.segment_start[at], path.end[at])
+    motions = motion_text(path, post.form, cubics)
     lines = [VALIDATED if validated else NOT_VALIDATED, *post.begin(modes, header)]
     for k in range(len(path.z)):
         message = [f"(MSG, LAYER {k + 1} OF {len(path.z)})"] if post.control is LINUXCNC else []

@@ -12,7 +12,7 @@ import numpy as np
 from ebamcheck.controls.sinumerik.control import NAME
 from ebamcheck.kernels import Floats, Ints
 from ebamcheck.nc.files import layer_of_preheat
-from ebamcheck.nc.motions import ARC, POLYNOMIAL, RAPID, SPLINE_SPAN, STRAIGHT, NCProgram, SourceFile
+from ebamcheck.nc.motions import ARC, POLYNOMIAL, RAPID, SPLINE_SPAN, STRAIGHT, NCProgram
 from ebamcheck.nc.reader import ARCS, AXES, Reader
 from ebamcheck.nc.recorder import NAN
 from ebamcheck.nc.table import NONE, frame_after, on_part
@@ -25,7 +25,6 @@ Shift = Literal[2, 3, "uniform"]
 _CODE = re.compile(r'[^;"]*(?:"[^"]*"[^;"]*)*')
 # A subprogram by its name, and how often it is run.
 _CALL = re.compile(r"([A-Z_][A-Z0-9_]+)(?:\s+P\s*=?\s*(\d+))?")
-_HEADER = re.compile(r"%[A-Z0-9_ ]*", re.IGNORECASE)
 _N = rf"({NUMBER})"
 _LIST = rf"=\({_N},{_N},{_N}\)"
 # A control point of a spline, in the spelling of most posts.
@@ -81,16 +80,13 @@ class SinumerikReader(Reader):
         self._depth = 0
 
     def split(self, text: str) -> tuple[str, list[str]]:
-        """Code and comment of a line: the comment begins at the first semicolon that stands in no message.
-
-        A quotation mark without its other half stays in the code, which no block has.
-        """
+        """Code and comment of a line, from the first semicolon in no message; a quotation mark without its other half stays in the code."""
         end = _CODE.match(text).end()  # type: ignore[union-attr]
         return (text, []) if text[end : end + 1] == '"' else (text[:end], [text[end + 1 :]])
 
     def percent(self, code: str) -> str | None:
         """The first line of a file names it; elsewhere a percent sign begins no block."""
-        return None if self.out.line == 1 and _HEADER.fullmatch(code) else ""
+        return None if self.out.line == 1 and re.fullmatch(r"(?i)%[A-Z0-9_ ]*", code) else ""
 
     def run_plain(self, text: str) -> bool:
         """Run a control point, or another of the blocks of which a program mostly consists; return whether it is one."""
@@ -186,13 +182,23 @@ class SinumerikReader(Reader):
         """Run POLY, or take a control point of BSPLINE."""
         if self.mode == "BSPLINE":
             self._control_point(x, y, z, block.values)
-        elif self.mode == "POLY":
-            curve = self._polynomial(block)
-            if what := self.stray(block.values):
-                raise WordError(what, 0)
-            self.out.move(POLYNOMIAL, x, y, z, curve)
-        else:
+            return True
+        if self.mode != "POLY":
             return False
+        length = block.values.get("PL", 1.0)
+        if length != 1.0:
+            self.out.event("POLY", length)
+        if not 0.0001 <= length <= 99999.9999:
+            raise WordError(f"PL={length:g} under POLY: it reaches from 0.0001 to 99999.9999", 0)
+        if len(block.lists.get("PO[Z]", ())) > 1:
+            raise WordError("PO[Z] with coefficients: layers are flat", 0)
+        # Coefficients of t^2 and t^3 in X and Y.
+        (_, x2, x3, *_), (_, y2, y3, *_) = (
+            (*block.lists.get(f"PO[{axis}]", ()), 0.0, 0.0, 0.0) for axis in "XY"
+        )
+        if what := self.stray(block.values):
+            raise WordError(what, 0)
+        self.out.move(POLYNOMIAL, x, y, z, (x2, x3, y2, y3, length))
         return True
 
     def run_curve(self, *numbers: float) -> None:
@@ -209,18 +215,6 @@ class SinumerikReader(Reader):
         if mode not in ARCS and ("I" in values or "J" in values or "CR" in values):
             return f"I, J or CR under {mode}: they belong to G2 and G3"
         return ""
-
-    def _polynomial(self, block: Block) -> tuple[float, float, float, float, float]:
-        """Coefficients of t^2 and t^3 in X and Y, and the length of the parameter."""
-        length = block.values.get("PL", 1.0)
-        if length != 1.0:
-            self.out.event("POLY", length)
-        if not 0.0001 <= length <= 99999.9999:
-            raise WordError(f"PL={length:g} under POLY: it reaches from 0.0001 to 99999.9999", 0)
-        if len(block.lists.get("PO[Z]", ())) > 1:
-            raise WordError("PO[Z] with coefficients: layers are flat", 0)
-        x, y = ((*block.lists.get(f"PO[{axis}]", ()), 0.0, 0.0, 0.0) for axis in "XY")
-        return x[1], x[2], y[1], y[2], length
 
     def motion_word(self, word: str) -> None:
         """Change the kind of motion; BSPLINE begins a spline at the position before."""
@@ -261,39 +255,30 @@ class SinumerikReader(Reader):
         out.line = here
 
 
-# -- names and first lines of files --------------------------------------------------------------------
-
-_FILE_NAME = re.compile(r"(?=.{1,24}\.)(?:[A-Z]{2}|_[A-Z])[A-Z0-9_]*\.(?:MPF|SPF)")
-_DEVICE = re.compile(r"(?:CON|PRN|AUX|NUL|COM\d|LPT\d)\..*")
+# A name that is none of a device, and a path.
+_FILE_NAME = re.compile(
+    r"(?!(?:CON|PRN|AUX|NUL|COM\d|LPT\d)\.)(?=.{1,24}\.)(?:[A-Z]{2}|_[A-Z])[A-Z0-9_]*\.(?:MPF|SPF)"
+)
 _PATH = re.compile(rb";\$PATH=/_N_(?:WKS_DIR/_N_[A-Z0-9_]+_WPD|MPF_DIR|SPF_DIR)\r?")
 
 
 def file_faults(nc: NCProgram, config: Config) -> list[tuple[str, str]]:
     """Places and texts of what is wrong with names, first lines and paths of the files."""
-    return [fault for file in nc.files for fault in [*_name_faults(file), *_path_faults(file, config)]]
-
-
-def _name_faults(file: SourceFile) -> list[tuple[str, str]]:
+    profile = f";$PATH=/_N_WKS_DIR/_N_{config.machine.workpiece_directory}_WPD"
     faults = []
-    if not _FILE_NAME.fullmatch(file.name) or _DEVICE.fullmatch(file.name):
-        faults.append((f"{file.name}:1", f"{file.name!r} is not a legal name of a program"))
-    lines = [*file.data.split(b"\n", 2), b"", b""]
-    wanted = f"%_N_{file.name.replace('.', '_')}"
-    if lines[0].rstrip(b"\r") != wanted.encode("latin-1", "replace"):
-        faults.append((f"{file.name}:1", f"first line is not {wanted}"))
-    if not _PATH.fullmatch(lines[1]):
-        faults.append((f"{file.name}:2", "second line is not ;$PATH=/_N_WKS_DIR/_N_..._WPD"))
+    for file in nc.files:
+        if not _FILE_NAME.fullmatch(file.name):
+            faults.append((f"{file.name}:1", f"{file.name!r} is not a legal name of a program"))
+        first, second, *_ = [*file.data.split(b"\n", 2), b"", b""]
+        wanted = f"%_N_{file.name.replace('.', '_')}"
+        if first.rstrip(b"\r") != wanted.encode("latin-1", "replace"):
+            faults.append((f"{file.name}:1", f"first line is not {wanted}"))
+        if not _PATH.fullmatch(second):
+            faults.append((f"{file.name}:2", "second line is not ;$PATH=/_N_WKS_DIR/_N_..._WPD"))
+        said = second.rstrip(b"\r").decode("latin-1")
+        if said.startswith(";$PATH=") and said != profile:
+            faults.append((f"{file.name}:2", f"says {said}, the profile {profile}"))
     return faults
-
-
-def _path_faults(file: SourceFile, config: Config) -> list[tuple[str, str]]:
-    """Folder of the control that a file says it belongs to: the one of the profile."""
-    wanted = f";$PATH=/_N_WKS_DIR/_N_{config.machine.workpiece_directory}_WPD".encode("ascii")
-    lines = file.data.split(b"\n", 2)
-    said = lines[1].rstrip(b"\r") if len(lines) > 1 else b""
-    if said.startswith(b";$PATH=") and said != wanted:
-        return [(f"{file.name}:2", f"says {said.decode('latin-1')}, the profile {wanted.decode()}")]
-    return []
 
 
 CUBIC = 3
@@ -302,13 +287,10 @@ CUBIC = 3
 def knot_vector(intervals: Floats, shift: Literal[2, 3], degree: int = CUBIC) -> Floats:
     """Knots (m + degree + 2,) of a spline of m + 1 control points from the m intervals PL of its blocks.
 
-    Block i = 1 .. m of a cubic carries ``PL = U[i + shift] - U[i + shift - 1]``; one of degree 2 has a knot less
-    before its first interval. The knots left over at the ends repeat their neighbours; the curve is tangential
-    to the control polygon at both ends only if the outer degree + 1 coincide: else the program means the other convention, and is
-    refused with a ValueError.
+    Block i = 1 .. m of a cubic carries ``PL = U[i + shift] - U[i + shift - 1]``; one of degree 2 has a knot less before its first interval.
+    Unless the outer degree + 1 coincide at both ends, the program means the other convention, and is refused with a ValueError.
     """
     m = intervals.size
-    _check_size(m, degree)
     if (intervals < 0.0).any():
         raise ValueError(f"PL={intervals.min():g} in a BSPLINE: intervals cannot be negative")
     before = shift - CUBIC + degree
@@ -324,30 +306,23 @@ def knot_vector(intervals: Floats, shift: Literal[2, 3], degree: int = CUBIC) ->
     return knots
 
 
-def even_knots(m: int, degree: int = CUBIC) -> Floats:
-    """Clamped knots with intervals of 1, for m + 1 control points."""
-    _check_size(m, degree)
-    last = float(m + 1 - degree)
-    return np.concatenate([np.zeros(degree), np.arange(last + 1.0), np.full(degree, last)])
-
-
-def _check_size(m: int, degree: int) -> None:
-    if m < degree:
-        name = "cubic" if degree == CUBIC else "quadratic"
-        raise ValueError(f"a BSPLINE of {m} blocks: a {name} needs at least {degree} after its first point")
-
-
 def spline_spans(
     blocks: Floats, shift: Literal[2, 3, "uniform"], degree: int = CUBIC
 ) -> tuple[Ints, Floats, Floats]:
     """Split a spline of degree 2 or 3 into its knot spans, each over 0 <= t <= 1.
 
-    `blocks` (m + 1, 3) are X, Y and PL of the control points; PL of the first, the position before, is not used, and none where the
-    knots are uniform. Returns the block (S,) whose control point is the last to shape the span, its end (S, 2), mm, and the coefficients
-    (S, 4) of t^2 and t^3 in X, then in Y.
+    `blocks` (m + 1, 3) are X, Y and PL of the control points; PL of the first, the position before, is not used. Returns the block (S,) whose
+    control point is the last to shape the span, its end (S, 2), mm, and the coefficients (S, 4) of t^2 and t^3 in X, then in Y.
     """
     m = len(blocks) - 1
-    knots = even_knots(m, degree) if shift == "uniform" else knot_vector(blocks[1:, 2], shift, degree)
+    if m < degree:
+        name = "cubic" if degree == CUBIC else "quadratic"
+        raise ValueError(f"a BSPLINE of {m} blocks: a {name} needs at least {degree} after its first point")
+    if shift == "uniform":
+        # Clamped, with intervals of 1.
+        knots = np.clip(np.arange(m + degree + 2.0) - degree, 0.0, m + 1.0 - degree)
+    else:
+        knots = knot_vector(blocks[1:, 2], shift, degree)
     from scipy.interpolate import BSpline  # half of the time that this package takes to import
 
     spline = BSpline(knots, blocks[:, :2], degree)

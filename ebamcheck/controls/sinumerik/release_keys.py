@@ -1,9 +1,7 @@
 """Keys by which a waiting main program tells a release from a value that somebody else wrote.
 
-Each layer has a key. That of the layer below is worked out from it, and not the other way round: so a program that has taken one
-key knows the next one when it sees it, and nobody knows it before. A seal over key, layer, number of the program and wait
-belongs to each release: values that were changed by themselves do not fit it. All is whole numbers below 2^53, which a REAL of the
-control holds exactly. It is no cryptography: who works the arithmetic out can undo it.
+The key of the layer below is worked out from that of a layer, and not the other way round. A seal over key, layer, number and wait belongs
+to each release. All is whole numbers below 2^53, exact in a REAL of the control. It is no cryptography: who works it out can undo it.
 """
 
 from __future__ import annotations
@@ -30,8 +28,6 @@ class Release:
 class ReleaseKeys:
     """Keys of a build, worked out from the one drawn for its last layer.
 
-    Examples
-    --------
     >>> keys = ReleaseKeys(12345)
     >>> keys.of(7) == key_below(keys.of(8), 8)
     True

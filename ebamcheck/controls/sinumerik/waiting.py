@@ -1,11 +1,8 @@
 """The main program that waits between layers for the next one to be released, and calls it by its name.
 
-Eight R parameters are the handshake, from ``machine.live_r`` on: layers done, layer released, number of its program, least wait
-before it, time waited, what is left to wait, and, from the eleventh further on, key and seal of the release. The layer is released last
-of all; -1 says that the part is built. A release counts whose seal fits its values and whose key follows that of the layer below
-(:mod:`ebamcheck.controls.sinumerik.release_keys`); the first one after the start brings the key that all others follow.
-Sources: Siemens Job Planning manual (indirect call by a STRING, ``<<``, SUBSTR, TRUNC, STOPRE); written by the book and tried on no
-control.
+Eight R parameters from ``machine.live_r`` on are the handshake: layers done, layer released (-1: the part is built), number of its program,
+least wait, time waited, wait left, and from the eleventh further on key and seal (:mod:`ebamcheck.controls.sinumerik.release_keys`).
+Sources: Siemens Job Planning manual (indirect call by a STRING, ``<<``, SUBSTR, TRUNC, STOPRE); tried on no control.
 """
 
 from __future__ import annotations
@@ -21,8 +18,6 @@ from ebamcheck.nc.templates import process_values, usable_templates
 from ebamcheck.settings.config import Config
 from ebamcheck.writing.blocks import BlockFormat, end_blocks, numbered, start_blocks
 
-KEY, SEAL = 11, 12  # R parameters of key and seal, counted from `machine.live_r`
-LONGEST_S = 1_000_000  # Longest wait before a layer, s
 # Characters of the program's name that a layer's name keeps, as the server that makes layers has it.
 STEM = 10
 
@@ -44,14 +39,8 @@ def waiting_program(
         NOT_VALIDATED,
         *(comment(f"{key}: {value}") for key, value in known.items()),
         "DEF INT LIVE_N",
-        "DEF REAL LIVE_KEY",
-        "DEF REAL LIVE_LAST",
-        "DEF REAL LIVE_LAYER",
-        "DEF REAL LIVE_R",
-        "DEF REAL LIVE_S",
-        "DEF REAL LIVE_H",
-        "DEF STRING[32] LIVE_DIGITS",
-        "DEF STRING[32] LIVE_NAME",
+        *(f"DEF REAL LIVE_{name}" for name in ("KEY", "LAST", "LAYER", "R", "S", "H")),
+        *(f"DEF STRING[32] LIVE_{name}" for name in ("DIGITS", "NAME")),
         *start_blocks(modes(machine), values, templates),
         *_handshake(config, safe),
         *end_blocks(top_mm, values, config, form, templates),
@@ -64,7 +53,7 @@ def _handshake(config: Config, safe: list[str]) -> list[str]:
     """The loop: ask, wait, call; what happens when nobody answers; and the way out."""
     machine = config.machine
     done, released, number, wait, waited, rest = (f"R{machine.live_r + k}" for k in range(6))
-    key, seal = f"R{machine.live_r + KEY}", f"R{machine.live_r + SEAL}"
+    key, seal = f"R{machine.live_r + 11}", f"R{machine.live_r + 12}"
     poll, limit = plain(machine.live_poll_s), plain(machine.live_timeout_s)
     late = ["M0", "MSG()", "GOTOB LIVE_NEXT"] if machine.live_late == "stop" else ["GOTOF LIVE_END"]
     remainder = f"LIVE_H=LIVE_H-TRUNC(LIVE_H/{PRIME})*{PRIME}"
@@ -87,7 +76,7 @@ def _handshake(config: Config, safe: list[str]) -> list[str]:
         "IF LIVE_R<0 GOTOB LIVE_NO",
         "IF LIVE_R>9999 GOTOB LIVE_NO",
         "IF LIVE_S<0 GOTOB LIVE_NO",
-        f"IF LIVE_S>{LONGEST_S} GOTOB LIVE_NO",
+        "IF LIVE_S>1000000 GOTOB LIVE_NO",
         "IF LIVE_KEY<1 GOTOB LIVE_NO",
         f"IF LIVE_KEY>{PRIME} GOTOB LIVE_NO",
         "IF LIVE_LAST==0 GOTOF LIVE_SEAL",

@@ -1,13 +1,13 @@
-"""A waiting main program run block by block, as far as it needs: labels, jumps, R parameters, variables, waits, messages, calls.
+"""A waiting main program run block by block, as far as it needs; what is not known here is refused, and nothing shared with what writes it.
 
-What is not known here is refused. Layers alone lay metal, each with a proof of its own: the program around them sets the modes of the
-profile before anything else, switches nothing on, and moves once, up over all that stands and to the place where the tool is parked.
-Nothing here is shared with what writes the program.
+It sets the modes of the profile before anything else, switches nothing on, and moves once, over all that stands to where the tool is parked.
 """
 
 from __future__ import annotations
 
+import ast
 import math
+import operator
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -26,12 +26,10 @@ from ebamcheck.nc.templates import checked_templates
 from ebamcheck.nc.words import WordError, read_block, wanted_words
 from ebamcheck.settings.config import Config
 
-# Blocks for each time that a program asks within the time-out after which one that has not ended is taken for one that never does.
-BLOCKS_A_POLL = 60
-WRITTEN = (1, 2, 3, 11, 12)  # R parameters that the other side writes, counted from `machine.live_r`
 BLOCK = re.compile(r"N(\d+) (?:([A-Z_][A-Z0-9_]+): )?(.+)")
 _TOKEN = re.compile(r'\s*(R\d+|[A-Z_][A-Z0-9_]*|\d+\.?\d*|"[^"]*"|<<|==|<>|>=|<=|[-+*/<>(),])')
 _SET = re.compile(r"(R\d+|[A-Z_][A-Z0-9_]+)=(?!=)(.+)")
+_PARAMETER = re.compile(r"R\d+")
 _JUMP = re.compile(r"(?:IF (.+) )?GOTO([FB]) ([A-Z_][A-Z0-9_]+)")
 _DEF = re.compile(r"DEF (?:INT|REAL|STRING\[(\d+)\]) ([A-Z_][A-Z0-9_]+)")
 # What is on the other side: it sees the machine whenever time has gone by, and may set R parameters.
@@ -78,18 +76,16 @@ def run_text(
 
     `top_mm` is Z of the part's top, over which the program ends. A block that is not understood is an :class:`InputError`, ``LINE what``.
     """
-    state = WaitingState(config, top_mm)
-    first = config.machine.live_r
-    counted = f"R{first}"
-    run = Run(door, frozenset(f"R{first + k}" for k in WRITTEN))
-    blocks = [
-        (i, m[2] or "", m[3]) for i, line in enumerate(text.split("\n"), 1) if (m := BLOCK.fullmatch(line))
-    ]
+    state, machine = WaitingState(config, top_mm), config.machine
+    counted, *written = (f"R{machine.live_r + k}" for k in (0, 1, 2, 3, 11, 12))
+    run = Run(door, frozenset(written))
+    found = ((i, BLOCK.fullmatch(line)) for i, line in enumerate(text.split("\n"), 1))
+    blocks = [(i, m[2] or "", m[3]) for i, m in found if m]
     labels = {label: k for k, (_, label, _) in enumerate(blocks) if label}
     run.door(run)
-    machine = config.machine
-    at, most = 0, int(BLOCKS_A_POLL * (machine.live_timeout_s / machine.live_poll_s + 100.0))
-    most = most if most_blocks is None else most_blocks
+    # So many blocks each time that it asks within the time-out: one that has not ended by then never does.
+    most = most_blocks or int(60 * (machine.live_timeout_s / machine.live_poll_s + 100.0))
+    at = 0
     for _ in range(most):
         if at >= len(blocks) or (run.stops and (run.stops[-1][0] == "M30" or len(run.stops) > 1)):
             return run
@@ -140,106 +136,76 @@ def _step(run: Run, code: str, at: int, labels: dict[str, int], state: WaitingSt
             if event in ("beam_off", "wire_stop"):
                 run.off.add(event)
                 run.on.discard("beam_on" if event == "beam_off" else "wire_start")
-    elif (found := _SET.fullmatch(code)) and (re.fullmatch(r"R\d+", found[1]) or found[1] in run.values):
-        _assign(run, found[1], Expression(found[2], run).value())
+    elif (found := _SET.fullmatch(code)) and (_PARAMETER.fullmatch(found[1]) or found[1] in run.values):
+        name, value = found[1], Expression(found[2], run).value()
+        if name in run.watched and (run.time_s > 0.0 or run.calls):
+            run.tell(iter([f"writes {name}, which the server writes: what it has released is lost"]))
+        if len(str(value)) > run.room.get(name, len(str(value))):
+            raise ValueError(f"{value!r} is longer than {name}")
+        run.values[name] = value
     else:
         run.tell(state.words(code))
     return at + 1
 
 
-def _assign(run: Run, name: str, value: Any) -> None:
-    """Give a parameter or a variable its value."""
-    if name in run.watched and (run.time_s > 0.0 or run.calls):
-        run.tell(iter([f"writes {name}, which the server writes: what it has released is lost"]))
-    if len(str(value)) > run.room.get(name, len(str(value))):
-        raise ValueError(f"{value!r} is longer than {name}")
-    run.values[name] = value
+SIGNS: dict[type, Callable[[Any, Any], Any]] = {
+    ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Div: operator.truediv,
+    ast.Eq: operator.eq, ast.NotEq: operator.ne, ast.GtE: operator.ge, ast.LtE: operator.le, ast.Gt: operator.gt, ast.Lt: operator.lt,
+}  # fmt: skip
 
 
 class Expression:
-    """An expression of the control: sums, comparisons, strings put together by ``<<``, SUBSTR and TRUNC."""
+    """An expression of the control: sums, comparisons, strings put together by ``<<``, SUBSTR and TRUNC.
+
+    Its signs bind as those of Python do, which reads it; nothing but what is named here is worked out.
+    """
 
     def __init__(self, text: str, run: Run) -> None:
-        self._tokens: list[str] = _TOKEN.findall(text)
-        if "".join(self._tokens) != text.replace(" ", ""):
+        tokens = _TOKEN.findall(text)
+        if "".join(tokens) != text.replace(" ", ""):
             raise ValueError(f"{text!r} is no expression")
-        self._at, self._run = 0, run
+        try:
+            self._tree = ast.parse(" ".join("!=" if t == "<>" else t for t in tokens), mode="eval").body
+        except SyntaxError:
+            raise ValueError(f"{text!r} is no expression") from None
+        self._run = run
 
     def value(self) -> Any:
         """Work it out."""
-        left = self._joined()
-        if self._next() in ("==", "<>", ">=", "<=", ">", "<"):
-            sign, right = self._take(), self._joined()
-            left = {
-                "==": left == right, "<>": left != right, ">=": left >= right, "<=": left <= right,
-                ">": left > right, "<": left < right,
-            }[sign]  # fmt: skip
-        if self._next():
-            raise ValueError(f"{self._next()!r} is left over")
-        return left
+        return self._of(self._tree)
 
-    def _next(self) -> str:
-        return self._tokens[self._at] if self._at < len(self._tokens) else ""
+    def _of(self, node: ast.expr) -> Any:
+        match node:
+            case ast.Constant(value=str() as text):
+                return text
+            case ast.Constant(value=int() | float() as number):
+                return float(number)
+            case ast.Name(id=name):
+                if name in self._run.watched and not self._run.fresh:
+                    said = f"{name} is read without STOPRE since time has gone by"
+                    self._run.faults.append((self._run.line, said))
+                return (
+                    self._run.values.get(name, 0.0) if _PARAMETER.fullmatch(name) else self._run.values[name]
+                )
+            case ast.UnaryOp(op=ast.USub(), operand=one):
+                return -self._of(one)
+            case ast.BinOp(left=left, op=ast.LShift(), right=one):
+                text, right = self._of(left), self._of(one)
+                if isinstance(right, float) and not right.is_integer():
+                    raise ValueError("a broken number in a name")
+                return f"{text}{right if isinstance(right, str) else int(right)}"
+            case (
+                ast.BinOp(left=left, op=sign, right=right)
+                | ast.Compare(left=left, ops=[sign], comparators=[right])
+            ):
+                return SIGNS[type(sign)](self._of(left), self._of(right))
+            case ast.Call(func=ast.Name(id="SUBSTR"), args=[text, first, count]):
+                start = int(self._of(first))
+                return str(self._of(text))[start : start + int(self._of(count))]
+            case ast.Call(func=ast.Name(id="TRUNC"), args=[number]):
+                return float(math.trunc(self._of(number)))
+        raise ValueError(f"{ast.unparse(node)!r} is no expression")
 
-    def _take(self) -> str:
-        self._at += 1
-        return self._tokens[self._at - 1]
-
-    def _joined(self) -> Any:
-        value = self._sum()
-        while self._next() == "<<":
-            self._take()
-            right = self._sum()
-            if isinstance(right, float) and not right.is_integer():
-                raise ValueError("a broken number in a name")
-            value = f"{value}{right if isinstance(right, str) else int(right)}"
-        return value
-
-    def _sum(self) -> Any:
-        value = self._product()
-        while self._next() in ("+", "-"):
-            sign, right = self._take(), self._product()
-            value = value + right if sign == "+" else value - right
-        return value
-
-    def _product(self) -> Any:
-        value = self._one()
-        while self._next() in ("*", "/"):
-            sign, right = self._take(), self._one()
-            value = value * right if sign == "*" else value / right
-        return value
-
-    def _one(self) -> Any:
-        token = self._take()
-        if token == "-":
-            return -self._one()
-        if token.startswith('"'):
-            return token[1:-1]
-        if token[0].isdigit():
-            return float(token)
-        if token == "SUBSTR":
-            text, start, count = self._arguments()
-            return str(text)[int(start) : int(start) + int(count)]
-        if token == "TRUNC":
-            (number,) = self._arguments()
-            return float(math.trunc(number))
-        if token in self._run.watched and not self._run.fresh:
-            self._run.faults.append(
-                (self._run.line, f"{token} is read without STOPRE since time has gone by")
-            )
-        return self._run.values.get(token, 0.0) if re.fullmatch(r"R\d+", token) else self._run.values[token]
-
-    def _arguments(self) -> list[Any]:
-        found = []
-        if self._take() != "(":
-            raise ValueError("SUBSTR without its arguments")
-        while True:
-            found.append(self._joined())
-            if self._take() == ")":
-                return found
-
-
-# -- beside waiting: modes, switches, and the way out when the part is built ------------------------------
 
 OFF = ("beam_off", "wire_stop")
 

@@ -1,8 +1,6 @@
 """Post-processor for the SINUMERIK 840D sl: one main program, one subprogram a layer, straight-line code.
 
-Sources: Siemens NC Programming manual 12/2019, section 3.7 (POLY, BSPLINE); program conventions of the
-840D sl. Positions are those of the part in X and Y; Z 0 is the base plate under the part's lowest point, and
-the tool works at the top of the layer.
+Sources: Siemens NC Programming manual 12/2019, section 3.7 (POLY, BSPLINE). X and Y are those of the part, Z 0 is the base plate.
 """
 
 from __future__ import annotations
@@ -25,12 +23,11 @@ from ebamcheck.settings.machine import MachineSettings
 from ebamcheck.writing.blocks import BlockFormat, numbered, off_blocks
 from ebamcheck.writing.layer_text import Post, layer_blocks, motion_text, preheat_blocks, preheat_passes
 from ebamcheck.writing.segments import CUBIC, Form
-from ebamcheck.writing.table import Tilt, tilt_of
+from ebamcheck.writing.table import tilt_of
 from ebamcheck.writing.tracks import Toolpath
 
 # What splines become for each `machine.curve_form`.
 FORMS: Mapping[str, Form] = {"poly": "cubics", "bspline": "cubics", "arcs": "arcs", "lines": "chords"}
-NOT_THERE = "machine.curve_form {form!r}: the control does not have that option; use 'arcs' or 'lines'"
 
 
 def write_program(
@@ -66,23 +63,17 @@ def write_program(
     motions = motion_text(post.path, post.form, _cubics(post.path, curves, machine, post.form))
     for k, layer_name in enumerate(layer_names):
         entry = [*modes(machine), f'MSG("LAYER {k + 1} OF {layers}")']
-        before, after = _turned(tilt, post, k)
-        before = [*(scans.get(k, []) if inside else []), *before]
+        before, after = [*(scans.get(k, []) if inside else [])], list[str]()
+        first, stop = post.path.layer_starts[k : k + 2].tolist()
+        if tilt is not None and first < stop:
+            off = off_blocks(post.values(k), post.templates)
+            before += tilt.before(off, post.path.start[first], config, post.form)
+            after = tilt.after(off, config, post.form)
         blocks = layer_blocks(post, k, motions, entry, (before, after))
         texts[f"{layer_name}.SPF"] = subprogram(layer_name, blocks)
     for k, scan_name in scan_names.items():
         texts[f"{scan_name}.SPF"] = subprogram(scan_name, scans[k])
     return write_files(texts, Path(folder), validated=validated)
-
-
-def _turned(tilt: Tilt | None, post: Post, k: int) -> tuple[list[str], list[str]]:
-    """Blocks that turn the table before layer `k`, and back after it; none where nothing is turned."""
-    first = int(post.path.layer_starts[k])
-    if tilt is None or first == int(post.path.layer_starts[k + 1]):
-        return [], []
-    off = off_blocks(post.values(k), post.templates)
-    before = tilt.before(off, post.path.start[first], post.config, post.form)
-    return before, tilt.after(off, post.config, post.form)
 
 
 def _preheating(post: Post) -> dict[int, list[str]]:
@@ -106,14 +97,14 @@ def _licensed_form(curves: CurveColumns, machine: MachineSettings) -> Form:
     form = machine.curve_form
     licensed = {"poly": machine.poly_licensed, "bspline": machine.bspline_licensed}
     if not licensed.get(form, True):
-        raise SettingsError(NOT_THERE.format(form=form))
+        said = "the control does not have that option; use 'arcs' or 'lines'"
+        raise SettingsError(f"machine.curve_form {form!r}: {said}")
     if form == "bspline" and machine.bspline_shift == "uniform" and not machine.poly_licensed:
         pieces = np.flatnonzero(np.asarray(curves.kind) == SPLINE)
         if not all(even(_knots(curves, int(p))) for p in pieces):
-            raise SettingsError(
-                "machine.bspline_shift 'uniform': a spline of the contours has uneven knots, which the control could "
-                "drive as POLY alone, and it is not licensed; use curve_form 'arcs' or 'lines'"
-            )
+            what = "a spline of the contours has uneven knots, which the control could drive as POLY alone"
+            how = "and it is not licensed; use curve_form 'arcs' or 'lines'"
+            raise SettingsError(f"machine.bspline_shift 'uniform': {what}, {how}")
     return FORMS[form]
 
 
@@ -165,10 +156,6 @@ def modes(machine: MachineSettings) -> list[str]:
 
 # The control wants at least 6 spline blocks among any 10; shorter splines get further knots, exactly.
 LEAST_SPLINE_BLOCKS = 6
-EVEN_SHARE = 1e-9  # Knot intervals that differ by less, as a share of the longest, are even
-# Curves move on by at most about so many mm for each mm of their knots, or the rounding of the knots would count; those of a fit run at
-# 1.
-FASTEST = 2.0
 
 
 def spline_blocks(
@@ -181,29 +168,22 @@ def spline_blocks(
             control, knots = halved(control, knots)
         return opening + form.even_control_points(control)
     control, knots = refined(control, knots, LEAST_SPLINE_BLOCKS)
-    return opening + form.control_points(control, knots * _stretch(control, knots), shift)
+    # The derivative lies in the hull of `3 (C[i+1] - C[i]) / (U[i+4] - U[i+1])`.
+    length = knots[DEGREE + 1 : DEGREE + len(control)] - knots[1 : len(control)]
+    leg = np.hypot(*np.diff(control, axis=0).T)
+    fastest = float(np.max(DEGREE * leg[length > 0.0] / length[length > 0.0]))
+    # Those of a fit run at 1 mm for each mm of their knots; at over twice that the rounding of the knots would count.
+    return opening + form.control_points(control, knots * (fastest if fastest > 2.0 else 1.0), shift)
 
 
 def even(knots: Floats) -> bool:
     """Whether the intervals of a clamped knot vector are all alike."""
     intervals = np.diff(knots[DEGREE : knots.size - DEGREE])
-    return bool(np.ptp(intervals) <= EVEN_SHARE * intervals.max())
-
-
-def _stretch(control: Floats, knots: Floats) -> float:
-    """Factor of the knots such that the curve is nowhere much faster than they; the curve stays as it is."""
-    # The derivative lies in the hull of `3 (C[i+1] - C[i]) / (U[i+4] - U[i+1])`.
-    length = knots[DEGREE + 1 : DEGREE + len(control)] - knots[1 : len(control)]
-    leg = np.hypot(*np.diff(control, axis=0).T)
-    fastest = float(np.max(DEGREE * leg[length > 0.0] / length[length > 0.0]))
-    return fastest if fastest > FASTEST else 1.0
+    return bool(np.ptp(intervals) <= 1e-9 * intervals.max())
 
 
 def refined(control: Floats, knots: Floats, blocks: int) -> tuple[Floats, Floats]:
-    """Return the same spline with at least `blocks` control points after its first (Boehm's knot insertion).
-
-    Knots go to the middle of the longest span; the curve does not change.
-    """
+    """Return the same spline with at least `blocks` control points after its first: knots go to the middle of the longest span (Boehm)."""
     from scipy.interpolate import BSpline  # half of the time that this package takes to import
 
     spline = BSpline(knots, control, DEGREE)

@@ -1,9 +1,7 @@
 """The door to a control: what is seen on it decides, over and over, what is done next.
 
-Nothing is remembered that can be seen: a value that did not arrive, a connection that broke and a server that was started anew
-all come to the same next look. A layer is uploaded, read back and compared before its number is written, and is released last of
-all, once, and only to a program that is seen to wait for it. What was released and is gone (RESET) is released again on the
-operator's word alone, since nobody here knows how much of it lies on the part.
+A layer is uploaded, read back and compared, and released last of all, once, to a program that is seen to wait for it. What was released and
+is gone (RESET) is released again on the operator's word alone, since nobody here knows how much of it lies on the part.
 """
 
 from __future__ import annotations
@@ -14,6 +12,7 @@ import math
 import secrets
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 from ebamcheck.errors import EbamcheckError, SettingsError
@@ -24,7 +23,6 @@ from ebamcheck.live.opcua.link import Link, LinkLost, NotTaken, within
 from ebamcheck.live.publishing import read_journal
 from ebamcheck.settings.machine import MachineSettings, OpcuaSettings
 
-OWNERS = 2**31  # range of the number by which a door knows that it is the one that writes
 LEADS, UPLOADED, RELEASED, AGAIN = "leads", "uploaded", "released", "again"  # kinds of lines in the journal
 
 
@@ -46,7 +44,7 @@ class Telling:
         self._at, self._pause_s = -math.inf, self._retry_s
 
     def later(self) -> None:
-        """Try again after the pause, which doubles."""
+        """Try again after the pause."""
         self._at = time.monotonic() + self._pause_s
         self._pause_s = min(2.0 * self._pause_s, self._longest_s)
 
@@ -60,11 +58,6 @@ class Telling:
     def refuse(self, code: str, reason: str) -> None:
         """Tell once that something is refused."""
         self.say("refused", code=code, reason=reason)
-
-    def hold(self, code: str, reason: str) -> None:
-        """Say why nothing is released, and try again later."""
-        self.refuse(code, reason)
-        self.later()
 
     def made(self, answer: Answer) -> None:
         """Tell what the build said; a layer that was kept back is told once, and tried again later."""
@@ -93,7 +86,7 @@ class Door:
         told: Callable[[Answer], None],
     ) -> None:
         self._building, self._machine, self._opcua = building, machine, opcua
-        self._owner = float(1 + secrets.randbelow(OWNERS - 1))
+        self._owner = float(1 + secrets.randbelow(2**31 - 1))
         self._owners, self._claimed = {0.0}, False
         self._telling = Telling(told, opcua.retry_s, opcua.longest_retry_s)
         self._waiting = handshake.Waiting(3.0 * max(machine.live_poll_s, opcua.look_s, opcua.grid_s))
@@ -105,10 +98,7 @@ class Door:
         self._released_at = time.monotonic()
         self._taken_back_at: float | None = None
         self._keys = handshake.keys_of(building.folder)
-        self._recall()
-
-    def _recall(self) -> None:
-        for entry in read_journal(self._building.journal.path):
+        for entry in read_journal(building.journal.path):
             if entry["kind"] == LEADS:
                 self._owners.add(float(entry["owner"]))
             elif entry["kind"] == UPLOADED:
@@ -118,13 +108,8 @@ class Door:
             elif entry["kind"] == AGAIN:
                 self._released = None
 
-    # -- connections -------------------------------------------------------------------------------
-
     async def run(self) -> Answer:
-        """Lead the build to its end; connections come and go meanwhile.
-
-        Raises SettingsError where the control lets nobody in, or has no such nodes, before anything was done on it.
-        """
+        """Lead the build to its end, over connections; SettingsError where none lets us in, or has no such nodes, before anything was done."""
         pause_s, ever = self._opcua.retry_s, False
         while True:
             try:
@@ -138,31 +123,18 @@ class Door:
                         if answer is not None:
                             return answer
                         ever, pause_s = True, self._opcua.retry_s
-                        await self._changed(link)
-            except LinkLost as error:
-                self._lost(str(error))
-            except EbamcheckError as error:
-                # Before anything was done, this is a matter of settings and not of time.
-                if not ever:
-                    raise SettingsError(str(error)) from None
-                self._lost(str(error))
+                        # Something has changed on the control, or it is time to look anyway.
+                        with suppress(TimeoutError):
+                            await within(link.changed.wait(), self._opcua.look_s)
+                            link.changed.clear()
             except Exception as error:  # whatever the connection comes to, the server stays
-                self._lost(failure_of(error))
+                # Before anything was done, this is a matter of settings and not of time.
+                if isinstance(error, EbamcheckError) and not isinstance(error, LinkLost) and not ever:
+                    raise SettingsError(str(error)) from None
+                kept = "what was published stays; trying again"
+                self._telling.say("lost", reason=failure_of(error), kept=kept)
             await asyncio.sleep(pause_s)
             pause_s = min(2.0 * pause_s, self._opcua.longest_retry_s)
-
-    def _lost(self, reason: str) -> None:
-        self._telling.say("lost", reason=reason, kept="what was published stays; trying again")
-
-    async def _changed(self, link: Link) -> None:
-        """Wait until something has changed on the control, or it is time to look anyway."""
-        try:
-            await within(link.changed.wait(), self._opcua.look_s)
-        except TimeoutError:
-            return
-        link.changed.clear()
-
-    # -- one look ----------------------------------------------------------------------------------
 
     async def _look(self, link: Link) -> Answer | None:
         """Look at the control, and do what follows from it; the last answer where the build is over."""
@@ -171,12 +143,12 @@ class Door:
         try:
             if await self._begun() and await self._owns(link, seen) and not await self._took_back(link, seen):
                 return await self._step(link, seen)
-        except NotTaken as error:
-            self._telling.hold(error.code, str(error))
         except LinkLost:
             raise
-        except Exception as error:  # a full disk, a fault of the software: what was published stays
-            self._telling.hold("held", failure_of(error))
+        except Exception as error:
+            # A refusal, a full disk, a fault of the software: what was published stays.
+            self._telling.refuse(error.code if isinstance(error, NotTaken) else "held", failure_of(error))
+            self._telling.later()
         return None
 
     async def _begun(self) -> bool:
@@ -246,9 +218,8 @@ class Door:
             return await self._finish(link, seen)
         next_layer = building.expected_done - 1
         if not float(seen.done).is_integer() or seen.done < 0.0:
-            self._telling.refuse(
-                "counter", f"the control counts {seen.done:g} layers: that is no number of layers"
-            )
+            said = f"the control counts {seen.done:g} layers: that is no number of layers"
+            self._telling.refuse("counter", said)
         elif seen.begin_at != 0.0:
             await self._begin_again(link, seen, next_layer)
         elif seen.done == next_layer + 1:
@@ -258,16 +229,12 @@ class Door:
         else:
             again = f"set {self._name('begin_at')} to the layer that is to be begun, {next_layer + 1}, or {next_layer + 2} where that one is whole"
             what = "was RESET" if seen.done == 0.0 else f"counts {seen.done:g} layers"
-            self._telling.refuse(
-                "counter-jump",
-                f"the control {what}, {next_layer} layers are done: nothing is released; {again}",
-            )
+            said = f"the control {what}, {next_layer} layers are done: nothing is released; {again}"
+            self._telling.refuse("counter-jump", said)
         return None
 
     def _name(self, role: str) -> str:
         return self._opcua.nodes.get(role) or f"R{self._machine.live_r + handshake.OFFSETS[role]}"
-
-    # -- heights -----------------------------------------------------------------------------------
 
     async def _measure(self, link: Link, seen: handshake.Seen) -> None:
         """A layer is done: take its height, once it belongs to that layer and stands still."""
@@ -276,10 +243,8 @@ class Door:
             self._done_since, self._measured = (done, now), None
         if seen.measured != done:
             if seen.measured != 0.0:
-                self._telling.refuse(
-                    "counter-jump",
-                    f"a height is said to be of layer {seen.measured:g}, {done} layers are done",
-                )
+                said = f"a height is said to be of layer {seen.measured:g}, {done} layers are done"
+                self._telling.refuse("counter-jump", said)
             if now - self._done_since[1] > self._opcua.late_s:
                 self._telling.say("late", done=done, waited_s=self._opcua.late_s)
             return
@@ -292,10 +257,7 @@ class Door:
         if self._measured == seen.reading and not (self._keeps and self._telling.due):
             return
         message: dict[str, Any] = {"event": "height", "done": done}
-        if seen.map:
-            message["height_map"] = seen.map
-        else:
-            message["height_mm"] = seen.height
+        message |= {"height_map": seen.map} if seen.map else {"height_mm": seen.height}
         if seen.surface_k != 0.0:
             message |= {"surface_k": seen.surface_k, "after_s": seen.after_s}
         # One that a fault of ours came in between, or on which a layer was kept back, is tried again, and less and less often.
@@ -305,8 +267,6 @@ class Door:
         self._telling.made(answer)
         link.changed.set()
 
-    # -- releases ----------------------------------------------------------------------------------
-
     async def _release(self, link: Link, seen: handshake.Seen, layer: int) -> None:
         """The layer that is published is the next one of the control: release it, unless that was done."""
         if self._released == layer:
@@ -314,25 +274,21 @@ class Door:
             return
         if not self._telling.due:
             return
-        if not self._waiting.now:
-            self._say_waiting(layer + 1)
+        if not self._sees_waiting(layer + 1):
             return
         current = self._building.status()["published"]
         data, name = handshake.proved_program(self._building.folder, current, self._opcua.file_limit_mb)
         await self._put(link, name, data, str(current["sha256"]))
         release = handshake.release_of(self._keys, layer + 1, current)
-        await link.write_all(
-            {"measured": 0.0, **handshake.told_of(current), **handshake.written_before(release)}
-        )
+        before = handshake.written_before(release)
+        await link.write_all({"measured": 0.0, **handshake.told_of(current), **before})
         now = await link.seen()
         if now.owner != self._owner or now.done != layer or now.released == layer + 1:
-            raise NotTaken(
-                "two-servers", "another client wrote to the handshake meanwhile: the layer is kept back"
-            )
+            said = "another client wrote to the handshake meanwhile: the layer is kept back"
+            raise NotTaken("two-servers", said)
         if now.number != release.number:
-            raise NotTaken(
-                "two-servers", f"the number of the program was changed to {now.number:g} by another client"
-            )
+            said = f"the number of the program was changed to {now.number:g} by another client"
+            raise NotTaken("two-servers", said)
         self._note(RELEASED, layer=layer + 1, name=current["name"], sha256=current["sha256"])
         self._released = layer
         try:
@@ -349,14 +305,13 @@ class Door:
 
     def _judge_release(self, seen: handshake.Seen, layer: int) -> None:
         counts_since = self._waiting.after(max(self._released_at, self._taken_back_at or 0.0))
-        if seen.released == layer + 1:
-            if counts_since:
-                self._telling.refuse(
-                    "not-called", f"layer {layer + 1} is released, and the main program goes on waiting: it follows the keys of "
-                    f"another build, or another client wrote over the release; RESET and start it, then set "
-                    f"{self._name('begin_at')} to {layer + 1}"
-                )  # fmt: skip
-        elif self._taken_back_at is None or counts_since:
+        if seen.released == layer + 1 and counts_since:
+            self._telling.refuse(
+                "not-called", f"layer {layer + 1} is released, and the main program goes on waiting: it follows the keys of "
+                f"another build, or another client wrote over the release; RESET and start it, then set "
+                f"{self._name('begin_at')} to {layer + 1}"
+            )  # fmt: skip
+        elif seen.released != layer + 1 and (self._taken_back_at is None or counts_since):
             # What was written over in the middle of the layer is of no matter: the program has taken its release.
             self._telling.refuse(
                 "withdrawn", f"layer {layer + 1} was released and is so no more (RESET): look at the part, then set "
@@ -378,29 +333,23 @@ class Door:
         await link.upload(name, data, replace=there is not None)
         found = await link.download(name)
         if found is None or hashlib.sha256(found).hexdigest() != sha256:
-            raise NotTaken(
-                "other-file",
-                f"{name} reads back as another file than was written ({0 if found is None else len(found)} bytes of {len(data)}): it is not released",
-            )
+            sizes = f"{0 if found is None else len(found)} bytes of {len(data)}"
+            said = f"{name} reads back as another file than was written ({sizes}): it is not released"
+            raise NotTaken("other-file", said)
 
     async def _begin_again(self, link: Link, seen: handshake.Seen, layer: int) -> None:
         """The operator says at which layer the control, that was RESET, is to go on."""
         wanted = seen.begin_at
         if wanted not in (layer + 1, layer + 2):
-            self._telling.refuse(
-                "begin-at",
-                f"{self._name('begin_at')} is {wanted:g}: give {layer + 1} or, where that layer is whole, {layer + 2}",
-            )
+            said = f"give {layer + 1} or, where that layer is whole, {layer + 2}"
+            self._telling.refuse("begin-at", f"{self._name('begin_at')} is {wanted:g}: {said}")
             return
-        if not self._waiting.now:
-            self._say_waiting(int(wanted))
+        if not self._sees_waiting(int(wanted)):
             return
         self._note(AGAIN, layer=int(wanted), why="the operator's word")
         self._released = None if wanted == layer + 1 else self._released
-        await link.write("released", 0.0)
-        await link.write("measured", 0.0)
-        await link.write("done", wanted - 1.0)
-        await link.write("begin_at", 0.0)
+        for role, value in (("released", 0.0), ("measured", 0.0), ("done", wanted - 1.0), ("begin_at", 0.0)):
+            await link.write(role, value)
         self._telling.forget("refused", "waiting")
         self._telling.say("begins-again", layer=int(wanted))
         link.changed.set()
@@ -416,11 +365,12 @@ class Door:
         await link.write("owner", 0.0)
         return {**self._building.told, "answer": "built"}
 
-    # -- what is told ------------------------------------------------------------------------------
-
-    def _say_waiting(self, number: int) -> None:
-        reason = "the main program is not seen to wait: start it on the control"
-        self._telling.say("waiting", layer=number, reason=reason)
+    def _sees_waiting(self, number: int) -> bool:
+        """Whether the main program waits for a layer; says so where it does not."""
+        if not self._waiting.now:
+            reason = "the main program is not seen to wait: start it on the control"
+            self._telling.say("waiting", layer=number, reason=reason)
+        return self._waiting.now
 
     def _note(self, kind: str, **entry: Any) -> None:
         self._building.journal.append({"kind": kind, **entry})

@@ -1,7 +1,6 @@
 """The handshake with a control: its nodes, what was seen in them, and what releases a layer: file, values and keys.
 
-R parameters from ``machine.live_r`` on: the first six, and key and seal at the end, are those of the waiting main program, the others
-are of `live` and of who measures.
+Of the R parameters from ``machine.live_r`` on, the first six, key and seal are the waiting main program's, the others of `live` and who measures.
 """
 
 from __future__ import annotations
@@ -23,7 +22,6 @@ from ebamcheck.settings.machine import ROLES, WARMTH_ROLES, MachineSettings, Opc
 
 # R parameter of each role, counted from `machine.live_r`; the fifth is the program's own
 OFFSETS = dict(zip(ROLES, (0, 1, 2, 3, 4, 6, 7, 8, 9, 10, 11, 12), strict=True))
-
 BUILT = -1.0  # in ``released``: the part is built
 KEY_FILE = "release.key"  # in the folder of a build: the key from which those of all its layers follow; its owner alone may read it
 
@@ -34,10 +32,8 @@ def node_ids(machine: MachineSettings, opcua: OpcuaSettings) -> dict[str, str]:
     >>> node_ids(MachineSettings(), OpcuaSettings())["height"]
     'ns=2;s=/Channel/Parameter/R[u1,106]'
     """
-    stock = {
-        role: opcua.r_node.replace("{r}", str(machine.live_r + offset)) for role, offset in OFFSETS.items()
-    }
-    return stock | opcua.nodes
+    numbers = {role: str(machine.live_r + offset) for role, offset in OFFSETS.items()}
+    return {role: opcua.r_node.replace("{r}", number) for role, number in numbers.items()} | opcua.nodes
 
 
 def file_path(machine: MachineSettings, opcua: OpcuaSettings, name: str) -> str:
@@ -69,11 +65,10 @@ class Seen:
     def of(cls, values: Mapping[str, Any]) -> Seen:
         """Take values as they came."""
         name = values.get("map")
-        text = name.strip() if isinstance(name, str) else ""
         numbers: dict[str, Any] = {role: _number(values.get(role)) for role in ROLES}
         numbers["height"] = None if values.get("height") is None else numbers["height"]
         warmth = {role: _number(values.get(role, 0.0)) for role in WARMTH_ROLES}
-        return cls(**numbers, **warmth, map=text)
+        return cls(**numbers, **warmth, map=name.strip() if isinstance(name, str) else "")
 
     @property
     def reading(self) -> str:
@@ -114,9 +109,6 @@ class Waiting:
         return self._since > moment_s + self._noticed_s
 
 
-# -- what releases a layer --------------------------------------------------------------------------
-
-
 def keys_of(folder: Path) -> ReleaseKeys:
     """Keys of a build; drawn when it is first led on a control."""
     path = folder / KEY_FILE
@@ -130,9 +122,8 @@ def keys_of(folder: Path) -> ReleaseKeys:
                 os.fsync(file.fileno())
     text = path.read_text(encoding="utf-8", errors="replace").strip()
     if not (text.isascii() and text.isdigit() and 1 < int(text) < PRIME):
-        raise InputError(
-            f"{path}: holds no key of a build: delete it, start the main program anew, and begin where it stopped"
-        )
+        said = "holds no key of a build: delete it, start the main program anew, and begin where it stopped"
+        raise InputError(f"{path}: {said}")
     return ReleaseKeys(int(text))
 
 
@@ -143,9 +134,8 @@ def proved_program(folder: Path, current: Mapping[str, Any], limit_mb: float) ->
     if hashlib.sha256(data).hexdigest() != current["sha256"]:
         raise SettingsError(f"{path}: is not the file that was verified: it is not released")
     if len(data) > 1e6 * limit_mb:
-        raise SettingsError(
-            f"{path}: has {len(data) / 1e6:.3f} MB, over opcua.file_limit_mb {limit_mb:g}: it is not released"
-        )
+        size = f"{len(data) / 1e6:.3f} MB, over opcua.file_limit_mb {limit_mb:g}"
+        raise SettingsError(f"{path}: has {size}: it is not released")
     return data, path.name
 
 
@@ -160,12 +150,8 @@ def release_of(keys: ReleaseKeys, layer: int, current: Mapping[str, Any]) -> Rel
 
 def written_before(release: Release) -> dict[str, float]:
     """Values that stand before the layer itself is released, by role."""
-    return {
-        "number": float(release.number),
-        "wait": release.wait_s,
-        "key": float(release.key),
-        "seal": float(release.seal),
-    }
+    values = {"number": release.number, "wait": release.wait_s, "key": release.key, "seal": release.seal}
+    return {role: float(value) for role, value in values.items()}
 
 
 def told_of(current: Mapping[str, Any]) -> dict[str, float | str]:

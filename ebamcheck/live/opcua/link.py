@@ -20,19 +20,21 @@ if TYPE_CHECKING:
     from asyncua.client.client import Client
 
 FILES = ("certificate", "private_key", "server_certificate")  # files that a protected channel needs
-
 T = TypeVar("T")
-
-RIGHTS = ("BadUserAccessDenied", "BadNotWritable", "BadWriteNotSupported", "BadSecurityModeInsufficient")
-LOGIN = ("BadIdentityTokenInvalid", "BadIdentityTokenRejected", "BadUserAccessDenied")
-CERTIFICATES = ("BadSecurityChecksFailed", "BadCertificate")
-FULL = (
-    "BadTooManySessions",
-    "BadMaxConnectionsReached",
-    "BadTooManySubscriptions",
-    "BadTooManyMonitoredItems",
-)
-GONE = ("BadSession", "BadConnection", "BadServer", "BadShutdown", "BadSecureChannel", "BadTcp", "BadCommunication", "BadTimeout", "BadRequestTimeout", *FULL)  # fmt: skip
+# Kinds of status codes, by how they begin
+LOGIN = ("BadIdentityTokenInvalid", "BadIdentityTokenRejected", "BadUserAccessDenied", "BadSecurityChecksFailed", "BadCertificate")  # fmt: skip
+FULL = ("BadTooManySessions", "BadMaxConnectionsReached", "BadTooManySubscriptions", "BadTooManyMonitoredItems")  # fmt: skip
+GONE = ("BadSession", "BadConnection", "BadServer", "BadShutdown", "BadSecureChannel", "BadTcp", "BadCommunication", "BadTimeout", "BadRequestTimeout")  # fmt: skip
+# Status codes of what is not taken: code and reason of the refusal
+REFUSALS = {
+    ("BadUserAccessDenied", "BadNotWritable", "BadWriteNotSupported", "BadSecurityModeInsufficient"):
+        ("rights", "{what} is refused ({name}): the user has no operate right on the control"),
+    ("BadNodeIdUnknown", "BadNodeIdInvalid", "BadMethodInvalid", "BadNothingToDo"):
+        ("node", "{what}: the control has no such node ({name}): see the section opcua of the settings"),
+    ("BadNotFound", "BadNoMatch", "BadFileNotFound"): ("no-file", "{what}: there is no such file"),
+    ("BadBrowseNameDuplicated", "BadEntryExists", "BadNodeIdExists"):
+        ("file-exists", "{what}: a file of that name is there already"),
+}  # fmt: skip
 
 
 class LinkLost(EbamcheckError):
@@ -75,14 +77,11 @@ def installed() -> None:
 
 def password_of(opcua: OpcuaSettings) -> str:
     """Password of the user, from the environment or from a file that nobody else may read."""
-    found = os.environ.get(opcua.password_variable, "")
-    if found:
+    if found := os.environ.get(opcua.password_variable, ""):
         return found
     if not opcua.password_file:
-        raise SettingsError(
-            f"the environment variable {opcua.password_variable} is not set: it holds the password of {opcua.user!r}; "
-            "or give opcua.password_file"
-        )
+        what = f"it holds the password of {opcua.user!r}; or give opcua.password_file"
+        raise SettingsError(f"the environment variable {opcua.password_variable} is not set: {what}")
     path = Path(opcua.password_file)
     try:
         if path.stat().st_mode & 0o077:
@@ -90,9 +89,6 @@ def password_of(opcua: OpcuaSettings) -> str:
         return path.read_text(encoding="utf-8").strip()
     except OSError as error:
         raise SettingsError(f"opcua.password_file {path}: cannot be read: {error.strerror}") from None
-
-
-# -- certificates -----------------------------------------------------------------------------------
 
 
 def _loaded(opcua: OpcuaSettings, key: str) -> tuple[bytes, str, Any]:
@@ -119,29 +115,26 @@ def check_pair(opcua: OpcuaSettings) -> None:
     """Refuse a key of another certificate, one that has run out, or one of another `application_uri`."""
     from cryptography import x509
 
-    (*_, key), (*_, own) = (_loaded(opcua, name) for name in ("private_key", "certificate"))
+    key, own = (_loaded(opcua, name)[2] for name in ("private_key", "certificate"))
     if key.public_key() != own.public_key():
-        raise SettingsError(
-            f"opcua.private_key {opcua.private_key!r}: is not the key of opcua.certificate {opcua.certificate!r}: give the two of one pair"
-        )
+        what = f"is not the key of opcua.certificate {opcua.certificate!r}: give the two of one pair"
+        raise SettingsError(f"opcua.private_key {opcua.private_key!r}: {what}")
     try:
         names = own.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
         uris = names.get_values_for_type(x509.UniformResourceIdentifier)
     except x509.ExtensionNotFound:
         uris = []
     if opcua.application_uri not in uris:
-        raise SettingsError(
-            f"opcua.certificate {opcua.certificate!r}: is for {', '.join(uris) or 'no URI'}, opcua.application_uri is "
-            f"{opcua.application_uri!r}: a control refuses what is not alike"
-        )
+        own_uri = f"opcua.application_uri is {opcua.application_uri!r}: a control refuses what is not alike"
+        said = f"is for {', '.join(uris) or 'no URI'}, {own_uri}"
+        raise SettingsError(f"opcua.certificate {opcua.certificate!r}: {said}")
     now = datetime.datetime.now(datetime.UTC)
     for setting in ("certificate", "server_certificate"):
         found, file = _loaded(opcua, setting)[2], getattr(opcua, setting)
         first, last = found.not_valid_before_utc, found.not_valid_after_utc
         if not first <= now <= last:
-            raise SettingsError(
-                f"opcua.{setting} {file!r}: holds from {first:%Y-%m-%d} to {last:%Y-%m-%d}, today is {now:%Y-%m-%d}"
-            )
+            said = f"holds from {first:%Y-%m-%d} to {last:%Y-%m-%d}, today is {now:%Y-%m-%d}"
+            raise SettingsError(f"opcua.{setting} {file!r}: {said}")
 
 
 def is_offered(opcua: OpcuaSettings, shown: Iterable[bytes]) -> bool:
@@ -153,19 +146,14 @@ def is_offered(opcua: OpcuaSettings, shown: Iterable[bytes]) -> bool:
     return any(found.startswith(given) for found in shown)
 
 
-# -- waits with a limit ------------------------------------------------------------------------------
-
-
 class BrokenOff(Exception):
     """What was waited for was cancelled from within: the library does so with all requests when a connection breaks."""
 
 
 async def within(asked: Awaitable[T], limit_s: float) -> T:
-    """Wait for a result in a task of its own, and never lose a cancellation, whatever the library that is waited for does with it.
+    """Wait for a result in a task of its own, and never lose a cancellation; before Python 3.12 ``asyncio.wait_for`` does, and asyncua.
 
-    Before Python 3.12 ``asyncio.wait_for`` loses one that comes as the wait ends; asyncua loses one that comes while it takes itself
-    down. A loop that goes on after its own end can be waited for without end. Raises TimeoutError where it takes longer and is cancelled
-    then, BrokenOff where it was cancelled, and not by the one who waits.
+    Raises TimeoutError where it takes longer and is cancelled then, BrokenOff where it was cancelled, and not by the one who waits.
     """
     task = asyncio.ensure_future(asked)
     try:
@@ -183,18 +171,10 @@ async def within(asked: Awaitable[T], limit_s: float) -> T:
 
 async def cancelled(task: asyncio.Future[T]) -> None:
     """Cancel a task and give it a while to wind up; what it says then is of no interest."""
-    task.add_done_callback(_heard)
+    # Its exception is taken, so that nobody is told that it never was.
+    task.add_done_callback(lambda ended: ended.cancelled() or ended.exception())
     task.cancel()
     await asyncio.wait([task], timeout=1.0)
-
-
-def _heard(task: asyncio.Future[T]) -> None:
-    """Take an exception, so that nobody is told that it was never taken."""
-    if not task.cancelled():
-        task.exception()
-
-
-# -- the connection ----------------------------------------------------------------------------------
 
 
 class Link:
@@ -241,13 +221,9 @@ class Link:
             mode = {"sign": "Sign", "sign_and_encrypt": "SignAndEncrypt"}[opcua.security]
             own, key, control = (CertProperties(*_loaded(opcua, name)[:2]) for name in FILES)
             # The certificate of the control is given: that of whoever answers is not asked for.
-            await client.set_security(
-                getattr(security_policies, f"SecurityPolicy{opcua.policy}"),
-                own,
-                key,
-                server_certificate=control,
-                mode=getattr(ua.MessageSecurityMode, mode),
-            )
+            policy = getattr(security_policies, f"SecurityPolicy{opcua.policy}")
+            mode = getattr(ua.MessageSecurityMode, mode)
+            await client.set_security(policy, own, key, server_certificate=control, mode=mode)
             if opcua.user:
                 client.set_user(opcua.user)
                 client.set_password(password_of(opcua))
@@ -256,14 +232,10 @@ class Link:
     async def _meet(self, client: Client) -> None:
         """Hold the certificate that the control shows against the one that was given, before anything is encrypted for it."""
         try:
-            shown = [
-                bytes(found.ServerCertificate or b"")
-                for found in await client.connect_and_get_server_endpoints()
-            ]
-        except (
-            Exception
-        ):  # a control that shows nothing to strangers: the channel itself tells, in its own way
-            return
+            ends = await client.connect_and_get_server_endpoints()
+            shown = [bytes(found.ServerCertificate or b"") for found in ends]
+        except Exception:
+            return  # A control that shows nothing to strangers: the channel itself tells, in its own way.
         if any(shown) and not is_offered(self._opcua, shown):
             raise LoginRefused(
                 f"{self._opcua.url}: shows another certificate than opcua.server_certificate {self._opcua.server_certificate!r}: "
@@ -272,12 +244,8 @@ class Link:
 
     async def _subscribe(self, client: Client) -> None:
         subscription = await client.create_subscription(1000.0 * self._opcua.grid_s, _Told(self.changed))
-        watched = [
-            client.get_node(self._ids[role])
-            for role in ROLES
-            if role not in ("number", "wait", "digest", "key", "seal")
-        ]
-        await subscription.subscribe_data_change(watched)
+        watched = [role for role in ROLES if role not in ("number", "wait", "digest", "key", "seal")]
+        await subscription.subscribe_data_change([client.get_node(self._ids[role]) for role in watched])
 
     async def _drop(self, client: Client) -> None:
         # A server that has gone hears nothing; what matters is that our side is closed, and that who is cancelled meanwhile ends.
@@ -288,14 +256,10 @@ class Link:
             with suppress(Exception):
                 client.disconnect_socket()
 
-    # -- values ------------------------------------------------------------------------------------
-
     async def seen(self) -> Seen:
         """Read all values at once."""
-        values = await self._read(
-            {role: self._ids[role] for role in (*ROLES, "map", *WARMTH_ROLES) if role in self._ids}
-        )
-        return Seen.of(values)
+        roles = (role for role in (*ROLES, "map", *WARMTH_ROLES) if role in self._ids)
+        return Seen.of(await self._read({role: self._ids[role] for role in roles}))
 
     async def _read(self, ids: Mapping[str, str]) -> dict[str, Any]:
         client = self._there()
@@ -305,9 +269,8 @@ class Link:
         for (role, node), value in zip(ids.items(), found, strict=True):
             status = value.StatusCode
             if status is not None and status.name == "BadNodeIdUnknown":
-                raise NotTaken(
-                    "node", f"the control has no node {node!r} ({role}): set opcua.nodes or opcua.r_node"
-                )
+                said = f"the control has no node {node!r} ({role}): set opcua.nodes or opcua.r_node"
+                raise NotTaken("node", said)
             good = status is None or status.is_good()
             values[role] = value.Value.Value if good and value.Value is not None else None
         return values
@@ -329,12 +292,8 @@ class Link:
         await self._answered(client.write_values(nodes, data), f"writing {', '.join(given)}")
         for role, found in (await self._read(ids)).items():
             if found != given[role]:
-                raise NotTaken(
-                    "write-lost",
-                    f"{role} was written as {given[role]!r} and reads {found!r}: the control takes no writes, or another writes to it",
-                )
-
-    # -- files -------------------------------------------------------------------------------------
+                said = f"{role} was written as {given[role]!r} and reads {found!r}"
+                raise NotTaken("write-lost", f"{said}: the control takes no writes, or another writes to it")
 
     async def upload(self, name: str, data: bytes, replace: bool) -> None:
         """Write a file."""
@@ -368,8 +327,6 @@ class Link:
         parent = client.get_node(self._opcua.methods_node)
         return await self._answered(parent.call_method(ua.NodeId.from_string(method), *arguments), what)
 
-    # -- answers -----------------------------------------------------------------------------------
-
     def _there(self) -> Client:
         if self._client is None:
             raise LinkLost(f"{self._opcua.url}: not connected")
@@ -397,11 +354,10 @@ class _Told:
     def __init__(self, changed: asyncio.Event) -> None:
         self._changed = changed
 
-    def datachange_notification(self, node: Any, value: Any, data: Any) -> None:
+    def datachange_notification(self, *_: Any) -> None:
         self._changed.set()
 
-    def status_change_notification(self, status: Any) -> None:
-        self._changed.set()
+    status_change_notification = datachange_notification
 
 
 def _ours(error: Exception, url: str, what: str, connecting: bool) -> EbamcheckError:
@@ -412,24 +368,13 @@ def _ours(error: Exception, url: str, what: str, connecting: bool) -> EbamcheckE
         name = type(error).__name__
         if name.startswith(FULL):
             return LinkLost(f"{url}: the control has no session left ({name})")
-        if connecting and name.startswith((*LOGIN, *CERTIFICATES)):
+        if connecting and name.startswith(LOGIN):
             return LoginRefused(f"{url}: {name}: check opcua.user, the password and the certificates")
         if name.startswith(GONE):
             return LinkLost(f"{url}: {what} failed ({name})")
-        if name in RIGHTS:
-            return NotTaken(
-                "rights", f"{what} is refused ({name}): the user has no operate right on the control"
-            )
-        if name in ("BadNodeIdUnknown", "BadNodeIdInvalid", "BadMethodInvalid", "BadNothingToDo"):
-            return NotTaken(
-                "node",
-                f"{what}: the control has no such node ({name}): see the section opcua of the settings",
-            )
-        if name in ("BadNotFound", "BadNoMatch", "BadFileNotFound"):
-            return NotTaken("no-file", f"{what}: there is no such file")
-        if name in ("BadBrowseNameDuplicated", "BadEntryExists", "BadNodeIdExists"):
-            return NotTaken("file-exists", f"{what}: a file of that name is there already")
-        return NotTaken("refused", f"{what} is refused ({name})")
+        refused = "refused", "{what} is refused ({name})"
+        code, reason = next((told for names, told in REFUSALS.items() if name in names), refused)
+        return NotTaken(code, reason.format(what=what, name=name))
     if isinstance(error, UaError) and connecting:
         return LoginRefused(f"{url}: {text}")
     if isinstance(error, FileNotFoundError):
