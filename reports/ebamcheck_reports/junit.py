@@ -19,7 +19,7 @@ from ebamcheck.record.run_folder import RunFolder
 from ebamcheck.result import in_words
 from ebamcheck.showing.junit import Case, Kind, junit, write_junit
 from ebamcheck_reports import words
-from ebamcheck_reports.figures import counted, place
+from ebamcheck_reports.markup import counted, place
 from ebamcheck_reports.run_data import RunData
 
 NAME = "junit.xml"

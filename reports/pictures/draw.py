@@ -15,9 +15,11 @@ from ebamcheck.scan import ScanPlan
 from ebamcheck.scan.plan.comparing import SEEDS, OrderComparison, compared_orders, figures_of
 from ebamcheck.settings.config import Config
 from ebamcheck.showing.pictures import Scene, islands_svg, pareto_svg
-from ebamcheck_reports import metal_picture, overlays, part_picture, program_picture, scan_picture
+from ebamcheck_reports import part_picture, program_pictures
 from ebamcheck_reports.markup import Markup, element
 from ebamcheck_reports.run_data import RunData, layer_name
+from ebamcheck_reports.sections import agreement, scan
+from ebamcheck_reports.sections import metal as metal_section
 
 ROOT_LAYER, BLADE_LAYER = 12, 57
 """A layer of the root, which is partitioned into hexagons, and one through the hollow blade."""
@@ -44,7 +46,7 @@ def draw(folder: Path, target: Path) -> None:
     run = RunData(RunFolder(folder))
     exact = RunFolder(folder).read_layers(run.manifest["primary"])
     stacks = run.layer(BLADE_LAYER)
-    worst = overlays.worst_places(run)[BLADE_LAYER]
+    worst = agreement.worst_places(run)[BLADE_LAYER]
     reach = WORST_LIMITS * worst.limit_mm
     plan = ScanPlan.from_parquet(folder / "scan.parquet")
     program = read_program(folder / "program", run.config)
@@ -61,9 +63,9 @@ def draw(folder: Path, target: Path) -> None:
             box=(worst.x_mm - 3 * reach, worst.y_mm - reach, worst.x_mm + 3 * reach, worst.y_mm + reach),
             title=f"layer {BLADE_LAYER + 1}, enlarged: {worst.pair}, {worst.depth_mm:.3f} mm deep",
         ),
-        "partition-root": scan_picture.draw(plan, exact, ROOT_LAYER, bead_mm, root),
-        "partition-blade": scan_picture.draw(plan, exact, BLADE_LAYER, bead_mm, blade),
-        "program-blade": program_picture.draw(program, f"{blade}, read back from the program", BLADE_LAYER),
+        "partition-root": scan.draw(plan, exact, ROOT_LAYER, bead_mm, root),
+        "partition-blade": scan.draw(plan, exact, BLADE_LAYER, bead_mm, blade),
+        "program-blade": program_pictures.draw(program, f"{blade}, read back from the program", BLADE_LAYER),
         "metal-root": metal(
             program, RunFolder(folder).read_layers(run.manifest["program"]["witness"]), run.config, root
         ),
@@ -91,7 +93,7 @@ def idea(run: RunData, exact: Layers, stacks: dict[str, Layers], program: NCProg
     subprogram = sorted(texts.glob("*.SPF"))[BLADE_LAYER]
     blocks = [line for line in subprogram.read_text("utf-8").splitlines() if line.startswith("N")]
     quoted = [line for line in blocks if line.split()[1].startswith(SHOWN_BLOCKS)][2:10]
-    path = program_picture.draw(program, "the same layer, read back from the program", BLADE_LAYER)
+    path = program_pictures.draw(program, "the same layer, read back from the program", BLADE_LAYER)
     heads = ("one part", 20), (f"{len(stacks)} slicers", 300), ("one verdict", 625), ("one program", 905)
     verdict = "VALIDATED" if run.validated else "NOT VALIDATED"
     agreement = next(gate["text"] for gate in run.gates if gate["name"] == "agreement")
@@ -153,7 +155,7 @@ def metal(program: NCProgram, witness: Layers, config: Config, what: str) -> str
     field = deposit(program, witness, z_of, config, keep={ROOT_LAYER}).fields[ROOT_LAYER]
     section = witness.section(ROOT_LAYER)
     thickness_mm = float(z_of[ROOT_LAYER] - z_of[ROOT_LAYER - 1])
-    return metal_picture.draw(field, section, thickness_mm, config.process.largest_unevenness_mm, what)
+    return metal_section.draw(field, section, thickness_mm, config.process.largest_unevenness_mm, what)
 
 
 def orders(exact: Layers, config: Config, what: str) -> dict[str, str]:

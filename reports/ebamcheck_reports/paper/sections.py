@@ -6,22 +6,23 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from ebamcheck_reports.charts import Series
-from ebamcheck_reports.figures import number, percent
+from ebamcheck_reports.charts import Series, log_chart
 from ebamcheck_reports.markup import (
     Markup,
-    cell,
     element,
     facts,
     figure,
+    figure_percent,
+    figures_of,
     join,
+    number,
     paragraph,
+    percent,
     picture,
     section,
     table,
 )
 from ebamcheck_reports.paper import published
-from ebamcheck_reports.paper.log_chart import log_chart
 from ebamcheck_reports.paper.timing import REPEAT_UNDER_S
 
 Record = Mapping[str, Any]
@@ -135,9 +136,8 @@ def _differences(record: Record) -> Markup:
 # -- Figures 3 to 8 --------------------------------------------------------------------------------
 
 
-def bitmap(title: str, record: Record, pictures: Sequence[Markup]) -> Markup:
+def bitmap(title: str, found: Record, pictures: Sequence[Markup]) -> Markup:
     """Image and contours of one layer."""
-    found = record["bitmap"]
     what = (
         "One layer drawn by the paper's stencil method at its pixel (0.1 mm), and the contours that marching squares finds in the image. "
         "Good is a contour within the declared bound of the exact section."
@@ -145,44 +145,40 @@ def bitmap(title: str, record: Record, pictures: Sequence[Markup]) -> Markup:
     if found["status"] != "done":
         why = paragraph(f"The image could not be drawn: {found['why']}", class_="note warn")
         return section("bitmap", title, what, why)
-    return section(
-        "bitmap",
-        title,
-        what,
-        facts(
-            [
-                ("layer", _layer(found)),
-                ("image", join([figure(found["width_px"]), " × ", figure(found["height_px"]), " pixels"])),
-                ("black pixels", figure(found["black_px"])),
-                ("area of the black pixels", figure(found["black_area_mm2"], "mm²")),
-                ("area within the contours", figure(found["contour_area_mm2"], "mm²")),
-                ("exact area of the mesh's section", figure(found["exact_area_mm2"], "mm²")),
-                ("contours", figure(found["rings"])),
-                ("points of contours / exact section", join([figure(found["points"]), " / ", figure(found["exact_points"])])),
-                ("depth of the difference", figure(found["depth_mm"], "mm")),
-                ("declared bound", figure(found["bound_mm"], "mm")),
-            ]
-        ),
-        picture(
-            element("div", *pictures, class_="beside"),
-            "Left: the binary image, black where the ray of the pixel is in the part (Figure 3), with its contours in orange (Figure 5). "
-            "Right: its leftmost place enlarged, pixel centres as dots and the contour between them (Figure 4).",
-        ),
-    )  # fmt: skip
+    image = join([figure(found["width_px"]), " × ", figure(found["height_px"]), " pixels"])
+    points = join([figure(found["points"]), " / ", figure(found["exact_points"])])
+    areas = (
+        ("black pixels", "black_px", ""),
+        ("area of the black pixels", "black_area_mm2", "mm²"),
+        ("area within the contours", "contour_area_mm2", "mm²"),
+        ("exact area of the mesh's section", "exact_area_mm2", "mm²"),
+        ("contours", "rings", ""),
+    )
+    errors = (("depth of the difference", "depth_mm", "mm"), ("declared bound", "bound_mm", "mm"))
+    told = [_layer(found), ("image", image), *figures_of(found, areas)]
+    told += [("points of contours / exact section", points), *figures_of(found, errors)]
+    caption = (
+        "Left: the binary image, black where the ray of the pixel is in the part (Figure 3), with its contours in orange (Figure 5). "
+        "Right: its leftmost place enlarged, pixel centres as dots and the contour between them (Figure 4)."
+    )
+    drawn = picture(element("div", *pictures, class_="beside"), caption)
+    return section("bitmap", title, what, facts(told), drawn)
 
 
 def corners(title: str, record: Record, pictures: Sequence[Markup]) -> Markup:
     """Parts of the contours of the layer shown, and of the largest one where that is another."""
-    layers = record["corners"]["layers"]
-    shown = [
-        join(
-            [
-                _parts(found),
-                picture(svg, f"Parts of layer {found['layer']}. A closed curve without a split is one part."),
-            ]
-        )
-        for found, svg in zip(layers, pictures[1:], strict=True)
-    ]
+    counts = (
+        ("curve parts", "curve_parts", ""),
+        ("straight parts", "straight_parts", ""),
+        ("places where two parts meet", "splits", ""),
+        ("points of the contours", "points", ""),
+        ("blocks of NC program", "blocks", ""),
+        ("greatest distance of curve and contour", "deviation_mm", "mm"),
+    )
+    shown = []
+    for found, svg in zip(record["layers"], pictures[1:], strict=True):
+        caption = f"Parts of layer {found['layer']}. A closed curve without a split is one part."
+        shown += [facts([_layer(found), *figures_of(found, counts)]), picture(svg, caption)]
     return section(
         "corners",
         title,
@@ -196,49 +192,38 @@ def corners(title: str, record: Record, pictures: Sequence[Markup]) -> Markup:
     )
 
 
-def _parts(found: Record) -> Markup:
-    return facts(
-        [
-            ("layer", _layer(found)),
-            ("curve parts", figure(found["curve_parts"])),
-            ("straight parts", figure(found["straight_parts"])),
-            ("places where two parts meet", figure(found["splits"])),
-            ("points of the contours", figure(found["points"])),
-            ("blocks of NC program", figure(found["blocks"])),
-            ("greatest distance of curve and contour", figure(found["deviation_mm"], "mm")),
-        ]
-    )
-
-
-def partition(title: str, record: Record, pictures: Sequence[Markup]) -> Markup:
+def partition(title: str, found: Record, pictures: Sequence[Markup]) -> Markup:
     """Hexagons of the largest layer."""
-    found = record["partition"]
     case = {
         "odd": "odd: as many hexagons along L1",
         "even": "even: one more, so that n is odd",
         "none": "no solid that can be divided",
     }[found["case"]]
-    count = join([figure(found["n"]), " × ", figure(found["rows"])])
+    sides = (
+        ("short side L1", "L1_mm", "mm"),
+        ("long side L2", "L2_mm", "mm"),
+        ("direction of L1", "angle_deg", "°"),
+        ("side d (planned from area and bead)", "d_mm", "mm"),
+    )
+    counts = (
+        ("hexagons that hold metal, slivers merged", "hexagons", ""),
+        ("islands, thin walls included", "islands", ""),
+    )
+    told = [
+        _layer(found),
+        *figures_of(found, sides),
+        ("round(L1 / d) + 1", join([figure(found["rounded"]), ", ", case])),
+        ("n × rows laid over the rectangle", join([figure(found["n"]), " × ", figure(found["rows"])])),
+        *figures_of(found, counts),
+        ("order", f"{found['order']}: nearest to any processed centroid (section 4.2)"),
+        ("covered by beads", figure_percent(found["covered_fraction"])),
+    ]
     return section(
         "partition",
         title,
         "The layer of the greatest area, divided by the paper's rule: enclosing rectangle among ten rotations (equation 11), n hexagons of "
         "side d along its short side L1, √3 d apart, and rows of them along L2.",
-        facts(
-            [
-                ("layer", _layer(found)),
-                ("short side L1", figure(found["L1_mm"], "mm")),
-                ("long side L2", figure(found["L2_mm"], "mm")),
-                ("direction of L1", figure(found["angle_deg"], "°")),
-                ("side d (planned from area and bead)", figure(found["d_mm"], "mm")),
-                ("round(L1 / d) + 1", join([figure(found["rounded"]), ", ", case])),
-                ("n × rows laid over the rectangle", count),
-                ("hexagons that hold metal, slivers merged", figure(found["hexagons"])),
-                ("islands, thin walls included", figure(found["islands"])),
-                ("order", f"{found['order']}: nearest to any processed centroid (section 4.2)"),
-                ("covered by beads", figure(found["covered_fraction"], text=percent(found["covered_fraction"]))),
-            ]
-        ),
+        facts(told),
         *pictures[:1],
         picture(pictures[1], "Islands in the colour and number of their order, from a random (seeded) first one."),
         paragraph(
@@ -249,8 +234,8 @@ def partition(title: str, record: Record, pictures: Sequence[Markup]) -> Markup:
     )  # fmt: skip
 
 
-def _layer(found: Record) -> Markup:
-    return join([figure(found["layer"]), ", z = ", figure(found["height_mm"], "mm")])
+def _layer(found: Record) -> tuple[str, Markup]:
+    return "layer", join([figure(found["layer"]), ", z = ", figure(found["height_mm"], "mm")])
 
 
 # -- Figures 10 and 11 -----------------------------------------------------------------------------
@@ -302,12 +287,9 @@ def _errors(models: Sequence[Record]) -> Markup:
     for row in models:
         stages = [("sliced polyline", row["polyline"]), *((f"fit {n}", f) for n, f in row["fits"].items())]
         for k, (stage, found) in enumerate(stages):
-            polar_error = [
-                figure(found["polar"][key]) for key in ("low_mm", "high_mm", "rms_mm", "mean_abs_mm")
-            ]
+            errors = [figure(found["polar"][f"{key}_mm"]) for key in ("low", "high", "rms", "mean_abs")]
             first = (row["model"], figure(row["facets"])) if k == 0 else ("", "")
-            cells = [*first, stage, *polar_error, figure(found["normal"]["rms_mm"])]
-            rows.append(element("tr", *(cell(value) for value in cells)))
+            rows.append((*first, stage, *errors, figure(found["normal"]["rms_mm"])))
     return table(columns, rows, numbers=(columns[1], *columns[3:]))
 
 
