@@ -23,13 +23,13 @@ from ebamcheck_reports.markup import number
 GATES = ("input", "agreement", "fit", "coverage", "deposit", "heat", "program")
 """Gates of a run in their order; a run without contours ends after the second."""
 
-Column = TypeVar("Column")
-
 CHECK_GATES = GATES[:2]
 """Gates of a cross-check alone."""
 
 BEAD_WIDTH_MM = 6.0
 """Width at which beads are drawn if the settings name none."""
+
+Column = TypeVar("Column")
 
 
 class RunData:

@@ -46,18 +46,16 @@ def timing(title: str, record: Record) -> Markup:
         "facets",
         "seconds for all layers",
     )
-    layers = sizes[0]["layers"]
+    caption = "Both axes are logarithmic. The red dot is the one time that the paper gives in figures."
     return section(
         "timing",
         title,
-        f"One part, {record['summary']}, tessellated at the paper's tolerances and cut into {layers} layers of 0.2 mm. Times are of "
+        f"One part, {record['summary']}, tessellated at the paper's tolerances and cut into {sizes[0]['layers']} layers of 0.2 mm. Times are of "
         "preparing the mesh in memory and slicing it, without reading the file.",
-        picture(
-            chart, "Both axes are logarithmic. The red dot is the one time that the paper gives in figures."
-        ),
+        picture(chart, caption),
         _times(names, sizes),
-        _how_timed(record, sizes),
-        _differences(record),
+        *_how_timed(record, sizes[-1]),
+        *_differences(given),
     )
 
 
@@ -65,72 +63,69 @@ def _times(names: Sequence[str], sizes: Sequence[Record]) -> Markup:
     columns = ("tolerance, mm", "facets", "MB", *(f"{n}, s" for n in names))
     rows = []
     for size in sizes:
+        megabytes = figure(size["size_mb"], text=f"{size['size_mb']:.2f}")
         times = [_time(size["times"][name]) for name in names]
-        rows.append([figure(size["tolerance_mm"]), figure(size["facets"]), figure(size["size_mb"], text=f"{size['size_mb']:.2f}"), *times])  # fmt: skip
+        rows.append([figure(size["tolerance_mm"]), figure(size["facets"]), megabytes, *times])
     return table(columns, rows, numbers=columns)
 
 
-def _time(found: Record) -> Markup:
+def _time(found: Record) -> Markup | str:
+    total_s = found["total_s"]
     if found["status"] != "done":
-        return join([found["status"]])
-    return figure(
-        found["total_s"],
-        text=f"{found['total_s']:,.3g}" if found["total_s"] < 1000.0 else f"{found['total_s']:,.0f}",
-    )
+        return str(found["status"])
+    return figure(total_s, text=f"{total_s:,.3g}" if total_s < 1000.0 else f"{total_s:,.0f}")
 
 
-def _how_timed(record: Record, sizes: Sequence[Record]) -> Markup:
+def _how_timed(record: Record, last: Record) -> list[Markup]:
     """Say how many layers each time rests on, and on what it ran."""
-    last = sizes[-1]
     rows = []
     for name, device in record["devices"].items():
         found = last["times"][name]
-        if found["status"] != "done":
-            rows.append([name, device, join([found["status"], ": ", found["why"]]), "", ""])
-            continue
-        scaled = f"{found['layers']} of {last['layers']} layers"
-        scaled += ", scaled to all" if found["layers"] < last["layers"] else ", nothing scaled"
-        rows.append([name, device, scaled, figure(found["prepare_s"], "s"), figure(found["slice_s"], "s")])
-    return join(
-        [
-            element("h3", f"How the times of the largest file ({last['facets']} facets) were taken"),
-            table(
-                ("method", "runs on", "measured", "preparing", "slicing what was measured"),
-                rows,
-                numbers=("preparing", "slicing what was measured"),
-            ),
-            paragraph(
-                "“stencil, literal” is the paper's method: for each layer all facets above it are drawn, at 0.1 mm a pixel. It is always measured on "
-                "a sample of layers, evenly spread. One run each after a warm-up, the better of two where it took "
-                f"less than {REPEAT_UNDER_S:g} s."
-            ),
-        ]
-    )
+        measured, figures = f"{found['status']}: {found['why']}", ("", "")
+        if found["status"] == "done":
+            scaled = "scaled to all" if found["layers"] < last["layers"] else "nothing scaled"
+            measured = f"{found['layers']} of {last['layers']} layers, {scaled}"
+            figures = (figure(found["prepare_s"], "s"), figure(found["slice_s"], "s"))
+        rows.append((name, device, measured, *figures))
+    columns = ("method", "runs on", "measured", "preparing", "slicing what was measured")
+    return [
+        element("h3", f"How the times of the largest file ({last['facets']} facets) were taken"),
+        table(columns, rows, numbers=columns[3:]),
+        paragraph(
+            "“stencil, literal” is the paper's method: for each layer all facets above it are drawn, at 0.1 mm a pixel. It is always measured on "
+            "a sample of layers, evenly spread. One run each after a warm-up, the better of two where it took "
+            f"less than {REPEAT_UNDER_S:g} s."
+        ),
+    ]
 
 
-def _differences(record: Record) -> Markup:
-    given = record["paper"]
+def _differences(given: Record) -> list[Markup]:
     tolerances = ", ".join(f"{t:g}" for t in given["tolerances_mm"])
+    seconds, in_text = figure(given["seconds"], "s"), figure(given["seconds_in_text"], "s")
+    low, high = (figure(given["sizes_mb"][k], "MB") for k in (0, -1))
     items = (
-        join(
-            [
-                "The paper's ", figure(given["seconds"], "s"), " (abstract; ", figure(given["seconds_in_text"], "s"), " in section 5.1) are for ",
-                figure(given["facets"]), " facets and ", figure(given["layers"]), f" layers on an {given['device']}.",
-            ]
+        (
+            *(
+                "The paper's ",
+                seconds,
+                " (abstract; ",
+                in_text,
+                " in section 5.1) are for ",
+                figure(given["facets"]),
+            ),
+            *(" facets and ", figure(given["layers"]), f" layers on an {given['device']}."),
         ),
-        "That part is not published; this one has the same layers and about the same file sizes, but another section.",
-        join(
-            [
-                f"Its tolerances are printed as {tolerances} mm for files of ", figure(given["sizes_mb"][0], "MB"), " to ",
-                figure(given["sizes_mb"][-1], "MB"),
-                ": 0.4 and 0.8 stand in swapped places, since the sizes rise all the way. Here 0.8 comes before 0.4.",
-            ]
+        (
+            "That part is not published; this one has the same layers and about the same file sizes, but another section.",
         ),
-        "Whether the paper's time holds the reading of the file, or the contours, is not said.",
-    )  # fmt: skip
-    return join(
-        [element("h3", "Why the times are not comparable"), element("ul", *(element("li", i) for i in items))]
+        (
+            *(f"Its tolerances are printed as {tolerances} mm for files of ", low, " to ", high),
+            ": 0.4 and 0.8 stand in swapped places, since the sizes rise all the way. Here 0.8 comes before 0.4.",
+        ),
+        ("Whether the paper's time holds the reading of the file, or the contours, is not said.",),
     )
+    head = element("h3", "Why the times are not comparable")
+    return [head, element("ul", *(element("li", *item) for item in items))]
 
 
 # -- Figures 3 to 8 --------------------------------------------------------------------------------
@@ -243,41 +238,41 @@ def _layer(found: Record) -> tuple[str, Markup]:
 
 def polar(title: str, record: Record, pictures: Sequence[Markup]) -> Markup:
     """Error ranges and reductions: the paper's, and those of each model."""
+    captions = (
+        "As Figure 10: the place of the greatest polar error on the middle layer of the first model, enlarged.",
+        "As Figure 11: polar errors of the outer contour of that layer, fit as written in the paper.",
+    )
     return section(
         "polar",
         title,
         "How far the contour of a medium mesh lies from that of a fine one, measured along rays from the centre of the enveloping rectangle, "
         "and how far the fitted curve does. Good is a fit with less error than the polyline that it was made from.",
         element("h3", "The paper's own figures"),
-        _published(record["paper"]),
+        *_published(record["paper"]),
         element("h3", f"Here: tolerance {record['medium_mm']:g} mm against {record['fine_mm']:g} mm"),
         _errors(record["models"]),
         element("h3", "Reduction of the error by the fit, each figure named"),
-        _reductions(record),
+        *_reductions(record),
         _finding(record["models"]),
-        *([picture(pictures[0], "As Figure 10: the place of the greatest polar error on the middle layer of the first model, enlarged."),
-           picture(pictures[1], "As Figure 11: polar errors of the outer contour of that layer, fit as written in the paper.")] if pictures else []),
-    )  # fmt: skip
+        *map(picture, pictures, captions),
+    )
 
 
-def _published(given: Record) -> Markup:
+def _published(given: Record) -> list[Markup]:
+    stages = (("sliced polyline", "polyline_mm", 0), ("fitted curve", "fit_mm", 1))
     rows = [
-        ["sliced polyline", *map(figure, given["polyline_mm"]), figure(given["range_mm"][0]), figure(given["max_mm"][0])],
-        ["fitted curve", *map(figure, given["fit_mm"]), figure(given["range_mm"][1]), figure(given["max_mm"][1])],
-        ["reduction", *(_percent(given["reductions"][key]) for key in ("low_end", "high_end", "range", "max"))],
-    ]  # fmt: skip
+        [name, *map(figure, (*given[key], given["range_mm"][k], given["max_mm"][k]))]
+        for name, key, k in stages
+    ]
+    reductions = [_percent(given["reductions"][key]) for key in ("low_end", "high_end", "range", "max")]
     columns = ("", "least, mm", "greatest, mm", "range, mm", "maximum, mm")
     claimed = given["claimed_reduction"]
-    return join(
-        [
-            table(columns, rows, class_="narrow", numbers=columns),
-            paragraph(
-                "The paper calls the reduction ", figure(claimed, text=f"{100 * claimed:.1f} %"), " without saying of what. Its ranges do not "
-                "by themselves give that: none of these four does, and it publishes neither RMS nor mean.",
-                class_="note warn",
-            ),
-        ]
+    note = paragraph(
+        "The paper calls the reduction ", figure(claimed, text=f"{100 * claimed:.1f} %"), " without saying of what. Its ranges do not "
+        "by themselves give that: none of these four does, and it publishes neither RMS nor mean.",
+        class_="note warn",
     )  # fmt: skip
+    return [table(columns, [*rows, ["reduction", *reductions]], class_="narrow", numbers=columns), note]
 
 
 def _errors(models: Sequence[Record]) -> Markup:
@@ -285,35 +280,33 @@ def _errors(models: Sequence[Record]) -> Markup:
                "polar mean abs., mm", "normal RMS, mm")  # fmt: skip
     rows = []
     for row in models:
+        first: tuple[Any, ...] = (row["model"], figure(row["facets"]))
         stages = [("sliced polyline", row["polyline"]), *((f"fit {n}", f) for n, f in row["fits"].items())]
-        for k, (stage, found) in enumerate(stages):
+        for stage, found in stages:
             errors = [figure(found["polar"][f"{key}_mm"]) for key in ("low", "high", "rms", "mean_abs")]
-            first = (row["model"], figure(row["facets"])) if k == 0 else ("", "")
             rows.append((*first, stage, *errors, figure(found["normal"]["rms_mm"])))
+            first = ("", "")
     return table(columns, rows, numbers=(columns[1], *columns[3:]))
 
 
-def _reductions(record: Record) -> Markup:
-    columns = ("", "fit", "error", *(name for _, name in REDUCTIONS))
-    given = record["paper"]["reductions"]
-    rows: list[list[Any]] = [
-        ["the paper's bunny", "as written in the paper", "polar", _percent(given["range"]), _percent(given["max"]), figure(None, text="not given"), figure(None, text="not given")]
-    ]  # fmt: skip
-    for row in record["models"]:
-        for name, found in row["fits"].items():
-            for kind, values in found["reductions"].items():
-                rows.append([row["model"], name, kind, *(_percent(values[key]) for key, _ in REDUCTIONS)])
+def _reductions(record: Record) -> list[Markup]:
+    columns, given = ("", "fit", "error", *(name for _, name in REDUCTIONS)), record["paper"]["reductions"]
+    unknown = figure(None, text="not given")
+    known = (_percent(given["range"]), _percent(given["max"]), unknown, unknown)
+    rows = [("the paper's bunny", "as written in the paper", "polar", *known)]
+    rows += [
+        (row["model"], name, kind, *(_percent(values[key]) for key, _ in REDUCTIONS))
+        for row in record["models"]
+        for name, found in row["fits"].items()
+        for kind, values in found["reductions"].items()
+    ]
     rings = ", ".join(f"{r['polar_rings']} of {r['layers']} layers of {r['model']}" for r in record["models"])
-    return join(
-        [
-            table(columns, rows, numbers=columns[3:]),
-            paragraph(
-                f"Negative: the fit has more error. The polar error is defined where every ray meets a contour once: {rings} (outer rings). "
-                "The normal distance is defined everywhere, holes included.",
-                class_="small",
-            ),
-        ]
+    note = paragraph(
+        f"Negative: the fit has more error. The polar error is defined where every ray meets a contour once: {rings} (outer rings). "
+        "The normal distance is defined everywhere, holes included.",
+        class_="small",
     )
+    return [table(columns, rows, numbers=columns[3:]), note]
 
 
 def _finding(models: Sequence[Record]) -> Markup:
