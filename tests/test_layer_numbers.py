@@ -104,7 +104,7 @@ def test_a_fault_in_a_layer_is_told_by_the_number_of_its_file(place, tmp_path, n
 
 
 def test_the_report_draws_the_layer_that_a_check_names(place, tmp_path):
-    check_places = pytest.importorskip("ebamcheck_reports.check_places")
+    program_pictures = pytest.importorskip("ebamcheck_reports.program_pictures")
     from ebamcheck_reports.run_data import RunData
 
     run = shutil.copytree(place / "box.run", tmp_path / "box.run")
@@ -112,7 +112,7 @@ def test_the_report_draws_the_layer_that_a_check_names(place, tmp_path):
     check = record["program"]["checks"][0]
     check |= {"passed": False, "layer": COUNT, "x_mm": 1.0, "y_mm": 2.0, "where": f"MAIN_L{COUNT:04d}.SPF:9"}
     write_json(record, run / "run.json")
-    (drawn,) = check_places.render(RunData(RunFolder(run)))[1:]
+    (drawn,) = program_pictures.failed_checks(RunData(RunFolder(run)))[1:]
     assert f", layer {COUNT}, MAIN_L{COUNT:04d}.SPF:9." in str(drawn)
 
 

@@ -13,7 +13,7 @@ from PIL import Image
 
 from ebamcheck.checks.metal import LayerField
 from ebamcheck.metal import target_of
-from ebamcheck_reports.metal_picture import BLUE, COLOURS, RED, draw
+from ebamcheck_reports.sections.metal import BLUE, COLOURS, RED, draw
 
 WHITE = (255, 255, 255)
 

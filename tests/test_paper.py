@@ -27,15 +27,12 @@ from ebamcheck.layers.stack import from_rings
 from ebamcheck.mesh.part import from_arrays
 from ebamcheck.plugins import registry
 from ebamcheck.showing.colours import binary_image, png
-from ebamcheck_reports.charts import Series
-from ebamcheck_reports.paper import bitmap, paper, partition, published, timing
-from ebamcheck_reports.paper import effort as efforts
-from ebamcheck_reports.paper.effort import FULL, QUICK, Effort
-from ebamcheck_reports.paper.job import Reproduction, reproduce
-from ebamcheck_reports.paper.log_chart import log_chart
-from ebamcheck_reports.paper.page import as_text, document, write
+from ebamcheck_reports.charts import Series, log_chart
+from ebamcheck_reports.paper import layer_figures, paper, published, timing
+from ebamcheck_reports.paper.layer_figures import find_subject
+from ebamcheck_reports.paper.page import Reproduction, as_text, document, reproduce, write
 from ebamcheck_reports.paper.polar import published_record
-from ebamcheck_reports.paper.subject import find_subject
+from ebamcheck_reports.paper.published import FULL, QUICK, Effort
 
 TINY = Effort("tiny", finest_mm=0.8, layer_step=1500, literal_layers=2, polar_layers=4)
 
@@ -196,11 +193,11 @@ def test_the_image_of_another_layer_is_refused() -> None:
     image[2:5, 3:9] = True
     x, y = 0.1 * 3, 0.1 * 2
     contours = from_rings([0.0], [[[(x, y), (x + 0.6, y), (x + 0.6, y + 0.3), (x, y + 0.3)]]])
-    bitmap.check(image, contours)
-    assert np.allclose(bitmap.pixel_corner_mm(image, contours), 0.0)
+    layer_figures.check(image, contours)
+    assert np.allclose(layer_figures.pixel_corner_mm(image, contours), 0.0)
     image[7, 3] = True
     with pytest.raises(BackendFailed, match="6 x 6 pixels"):
-        bitmap.check(image, contours)
+        layer_figures.check(image, contours)
 
 
 def test_reductions_follow_from_the_ranges_of_the_same_table(made: Reproduction) -> None:
@@ -236,11 +233,11 @@ def test_odd_and_even_case_of_the_hexagons(
     short_mm: float, side_mm: float, rounded: int, case: str, n: int
 ) -> None:
     corners = np.array([(0, 0), (short_mm, 0), (short_mm, 300.0), (0, 300.0)])
-    found = partition.lattice(corners, side_mm)
+    found = layer_figures.lattice(corners, side_mm)
     assert (found["rounded"], found["case"], found["n"]) == (rounded, case, n)
     assert found["L1_mm"] == pytest.approx(short_mm)
     assert found["L2_mm"] == pytest.approx(300.0)
-    assert partition.lattice(corners, math.nan)["case"] == "none"
+    assert layer_figures.lattice(corners, math.nan)["case"] == "none"
 
 
 # -- any mesh in the bunny's place ---------------------------------------------------------------------
@@ -256,7 +253,7 @@ def test_a_mesh_of_the_users_takes_the_bunnys_place(tmp_path: Path, made: Reprod
     inches = find_subject(tmp_path / "frame.stl", "in")
     assert inches.layer == published.CURVE_LAYER - 1
     assert inches.section.areas()[0] == pytest.approx(1376.0 * 25.4**2)
-    record, pictures = partition.measure(ball)
+    record, pictures = layer_figures.measure_partition(ball)
     assert record["area_mm2"] == pytest.approx(math.pi * 20.0**2, rel=0.02)
     assert len(pictures) == 2
 
@@ -269,14 +266,14 @@ def test_a_mesh_without_a_layer_is_refused(tmp_path: Path) -> None:
 def test_command_writes_both_files_or_none(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, made: Reproduction
 ) -> None:
-    monkeypatch.setattr(efforts, "QUICK", TINY)
+    monkeypatch.setattr(published, "QUICK", TINY)
     given: list[Any] = []
 
-    def ready(effort: Effort, bunny: Path | None, units: str, note: efforts.Note) -> Reproduction:
+    def ready(effort: Effort, bunny: Path | None, units: str, note: published.Note) -> Reproduction:
         given.append((effort, bunny, units))
         return made
 
-    monkeypatch.setattr("ebamcheck_reports.paper.job.reproduce", ready)
+    monkeypatch.setattr("ebamcheck_reports.paper.page.reproduce", ready)
     app = typer.Typer()
     app.command()(paper)
     target = tmp_path / "a" / "paper"

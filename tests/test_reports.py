@@ -23,7 +23,8 @@ from ebamcheck.record.run_folder import RunFolder
 from ebamcheck.scan import ScanPlan, plan_stack
 from ebamcheck.settings.config import Config
 from ebamcheck.slicers.slicing import slice_part
-from ebamcheck_reports import html, overlays, program_picture
+from ebamcheck_reports import html, program_pictures
+from ebamcheck_reports.sections import agreement
 from ebamcheck_reports.sections.fit import polar_errors
 
 
@@ -107,7 +108,7 @@ def test_verdict_is_that_of_the_record(whole: RunFolder) -> None:
 def test_pictures_show_every_backend_and_a_place_enlarged(whole: RunFolder) -> None:
     _, page, _ = render(whole)
     frames = [f for f in page.iter("figure") if f.get("class") == "frame"]
-    assert 3 <= len(frames) <= overlays.MOST_LAYERS
+    assert 3 <= len(frames) <= agreement.MOST_LAYERS
     for frame in frames:
         drawn = [g.get("data-name") for g in frame.iter("g") if g.get("class") == "slicer"]
         assert drawn == sorted(whole.manifest()["backends"])
@@ -218,14 +219,14 @@ def test_program_picture_is_the_path_of_the_text(tmp_path: Path) -> None:
     files = write_program(bead_paths(layers, plan, config), plan, config, tmp_path / "program")
     program = read_program(files.main, config)
     motions = np.flatnonzero(program.deposit)
-    spans = program_picture.bezier_form(program, motions)
+    spans = program_pictures.bezier_form(program, motions)
     assert len(spans) >= len(motions)
     np.testing.assert_allclose(spans[0, 0], program.start[motions[0], :2], atol=1e-5)
     np.testing.assert_allclose(spans[-1, 3], program.end[motions[-1], :2], atol=1e-5)
-    curved = motions[program.kind[motions] == program_picture.POLYNOMIAL]
+    curved = motions[program.kind[motions] == program_pictures.POLYNOMIAL]
     assert curved.size
     t = np.linspace(0, 1, 7)
     for row in curved[:20].tolist():
-        (b,) = program_picture.bezier_form(program, np.array([row]))
+        (b,) = program_pictures.bezier_form(program, np.array([row]))
         powers = np.stack([(1 - t) ** 3, 3 * (1 - t) ** 2 * t, 3 * (1 - t) * t**2, t**3], 1)
         np.testing.assert_allclose(powers @ b, program.evaluate(np.full(7, row), t), atol=1e-9)

@@ -11,13 +11,13 @@ import fake_distribution
 import numpy as np
 import pandas as pd
 import pytest
-from benchmarks.large_mesh import write_even_mesh
 from command_line import ebamcheck, write_stl
 from parts import box, join, moved, sphere, tilted, torus
 from pipeline_runs import Listener, gates
 from slicers_here import slicers_here
 
 from benchmarks import even_mesh
+from benchmarks.even_mesh import write_even_mesh
 from ebamcheck.errors import ExitCode, InputError, SettingsError
 from ebamcheck.layers.heights import crossing_counts, layer_heights
 from ebamcheck.mesh import slabs as slab_reader

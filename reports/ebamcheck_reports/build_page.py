@@ -16,19 +16,22 @@ from ebamcheck.live.heights_table import TABLE, heights_plot, read_heights
 from ebamcheck.live.publishing import JOURNAL, LAYERS, SETTINGS, read_certificate, read_journal
 from ebamcheck.live.verifying import VerifiedLayer, read_verified
 from ebamcheck.settings.config import Config, load_config
-from ebamcheck_reports.figures import counted, duration, percent, shown
 from ebamcheck_reports.markup import (
     Markup,
     collapsed,
+    counted,
+    duration,
     element,
     facts,
     figure,
+    page,
     paragraph,
+    percent,
     picture,
     section,
+    shown,
     table,
 )
-from ebamcheck_reports.pages import page
 
 WHAT_HEIGHTS = (
     "Each layer is planned on the height that was measured under it, and the rest is spread anew, so that the last one ends at the part's "
@@ -49,7 +52,6 @@ SHORT_HASH = 12
 class _Build:
     """Content of the folder of a build."""
 
-    folder: Path
     config: Config
     part: dict[str, Any]
     heights: dict[str, Floats]
@@ -57,109 +59,77 @@ class _Build:
     verified: dict[str, VerifiedLayer]
     entries: list[dict[str, Any]]
 
-    @property
-    def ended(self) -> dict[str, Any] | None:
-        """Journal entry of the end of the build; None while it goes on."""
-        return next((entry for entry in self.entries if entry.get("kind") == "done"), None)
-
 
 def document(folder: Path) -> str:
-    """Build the page of the build in a folder.
-
-    Raises
-    ------
-    InputError
-        If its journal, a certificate or its table of heights cannot be read.
-    """
+    """Build the page of the build in a folder; InputError if its journal, a certificate or its table of heights cannot be read."""
     build = _read(folder)
     name = str(build.part["name"])
     main = element("main", _summary(build), _heights(build), _layers(build), _refused(build))
-    head = element(
-        "header", element("h1", f"Live build of {name}"), paragraph(f"Folder {folder.name}, by its journal.")
+    said = paragraph(f"Folder {folder.name}, by its journal.")
+    return page(
+        f"ebamcheck live: {name}", element("header", element("h1", f"Live build of {name}"), said), main
     )
-    return page(f"ebamcheck live: {name}", head, main)
 
 
 def _read(folder: Path) -> _Build:
     entries = list(read_journal(folder / JOURNAL))
-    certificates: dict[int, dict[str, Any]] = {}
-    for entry in entries:
-        if entry.get("kind") == "layer":
-            found = read_certificate(folder / LAYERS / str(entry["name"]))
-            certificates[int(found["layer"])] = found
+    names = [str(entry["name"]) for entry in entries if entry.get("kind") == "layer"]
+    found = [read_certificate(folder / LAYERS / name) for name in names]
+    certificates = {int(certificate["layer"]): certificate for certificate in found}
     if not certificates:
         raise InputError(f"{folder}: no layer was published yet")
     first = certificates[min(certificates)]
     config = load_config(folder / LAYERS / str(first["name"]) / SETTINGS)
-    table_file = folder / TABLE
-    heights = read_heights(table_file) if table_file.is_file() else {}
-    return _Build(folder, config, first["part"], heights, certificates, read_verified(folder), entries)
+    heights = read_heights(folder / TABLE) if (folder / TABLE).is_file() else {}
+    return _Build(config, first["part"], heights, certificates, read_verified(folder), entries)
 
 
 # -- summary -----------------------------------------------------------------------------------------
 
 
 def _summary(build: _Build) -> Markup:
+    grown, thick = build.heights.get("grown_mm", np.zeros(0)), build.heights.get("thickness_mm", np.zeros(0))
+    share = grown / thick - 1.0 if grown.size else np.zeros(1)
+    growth = f"{percent(float(np.mean(share)))} over the height that was planned, give or take {percent(float(np.std(share)))}"
+    tries = Counter(str(entry["code"]) for entry in build.entries if entry.get("kind") == "refused")
+    refused = ", ".join(f"{count} {code}" for code, count in sorted(tries.items())) or "nothing"
+    time_s = sum(float(c["layer_s"]) + float(c["wait_s"]) for c in build.certificates.values())
+    told = facts(
+        [
+            ("part", f"{build.part['name']}, SHA-256 {str(build.part['sha256'])[:SHORT_HASH]}"),
+            ("layers", f"{len(build.certificates)} published, {grown.size} measured"),
+            ("growth", growth),
+            ("greatest deviation of a layer", shown(_most(build, "deviation_mm"), "mm")),
+            ("greatest cusp", shown(_most(build, "cusp_mm"), "mm")),
+            ("time of the layers", duration(time_s)),
+            ("feed", _feeds(build)),
+            ("refused", refused),
+        ]
+    )
+    what = "What was built, how its layers grew, and what came in."
+    return section("summary", "Summary", what, _banner(build), told)
+
+
+def _banner(build: _Build) -> Markup:
+    """Whether the top is where it should be, and whether the layers verify from their text; None while the build goes on."""
     tolerance_mm = 0.5 * bead_limits(build.config).least_mm
-    ended = build.ended
-    if ended is None:
-        passed, said = None, f"The build stands at layer {max(build.certificates)}."
-    else:
+    passed, said = None, f"The build stands at layer {max(build.certificates)}."
+    ended = next((entry for entry in build.entries if entry.get("kind") == "done"), None)
+    if ended is not None:
         off_mm = float(ended["off_mm"])
         passed = abs(off_mm) <= tolerance_mm
         said = f"The top came out {off_mm:+.3f} mm off, of {tolerance_mm:.3f} mm (half the least layer)."
-    good = sum(layer.passed for name, layer in build.verified.items() if name in _names(build))
-    if not build.verified:
-        proof = "Nobody has verified its layers from their text yet: ebamcheck verify BUILD --part PART does."
-    else:
+    proof = "Nobody has verified its layers from their text yet: ebamcheck verify BUILD --part PART does."
+    if build.verified:
+        published = {str(found["name"]) for found in build.certificates.values()}
+        good = sum(layer.passed for name, layer in build.verified.items() if name in published)
         proof = f"{good} of {len(build.certificates)} published layers verify from their text alone."
         passed = passed and good == len(build.certificates)
     word = {True: "BUILT AND VERIFIED", False: "OUT OF TOLERANCE", None: "GOING ON"}[passed]
     if passed and not build.verified:
         word = "BUILT"
-    banner = element(
-        "div",
-        element("strong", word),
-        paragraph(said),
-        paragraph(proof),
-        class_=f"banner {'good' if passed else 'bad'}",
-    )
-    grown, thick = build.heights.get("grown_mm", np.zeros(0)), build.heights.get("thickness_mm", np.zeros(0))
-    share = grown / thick - 1.0 if grown.size else np.zeros(1)
-    tries = Counter(str(entry["code"]) for entry in build.entries if entry.get("kind") == "refused")
-    return section(
-        "summary",
-        "Summary",
-        "What was built, how its layers grew, and what came in.",
-        banner,
-        facts(
-            [
-                ("part", f"{build.part['name']}, SHA-256 {str(build.part['sha256'])[:SHORT_HASH]}"),
-                ("layers", f"{len(build.certificates)} published, {grown.size} measured"),
-                (
-                    "growth",
-                    f"{percent(float(np.mean(share)))} over the height that was planned, give or take {percent(float(np.std(share)))}",
-                ),
-                ("greatest deviation of a layer", shown(_most(build, "deviation_mm"), "mm")),
-                ("greatest cusp", shown(_most(build, "cusp_mm"), "mm")),
-                (
-                    "time of the layers",
-                    duration(
-                        sum(float(c["layer_s"]) + float(c["wait_s"]) for c in build.certificates.values())
-                    ),
-                ),
-                ("feed", _feeds(build)),
-                (
-                    "refused",
-                    ", ".join(f"{count} {code}" for code, count in sorted(tries.items())) or "nothing",
-                ),
-            ]
-        ),
-    )
-
-
-def _names(build: _Build) -> set[str]:
-    return {str(found["name"]) for found in build.certificates.values()}
+    parts = (element("strong", word), paragraph(said), paragraph(proof))
+    return element("div", *parts, class_=f"banner {'good' if passed else 'bad'}")
 
 
 def _most(build: _Build, column: str) -> float:
@@ -167,11 +137,13 @@ def _most(build: _Build, column: str) -> float:
     return float(np.nanmax(values)) if values.size else 0.0
 
 
+def _feed(build: _Build, found: dict[str, Any]) -> Any:
+    """Feed of a layer, mm/s, by its certificate or else by the settings."""
+    return found.get("travel_speed_mm_s", build.config.process.travel_speed_mm_s)
+
+
 def _feeds(build: _Build) -> str:
-    usual = Counter(
-        float(c.get("travel_speed_mm_s", build.config.process.travel_speed_mm_s))
-        for c in build.certificates.values()
-    )
+    usual = Counter(float(_feed(build, found)) for found in build.certificates.values())
     told = [f"{speed:g} mm/s in {counted(count, 'layer')}" for speed, count in usual.most_common(3)]
     return ", ".join(told) + (f", {len(usual) - 3} others" if len(usual) > 3 else "")
 
@@ -179,51 +151,31 @@ def _feeds(build: _Build) -> str:
 # -- heights and layers ------------------------------------------------------------------------------
 
 
+HEIGHTS = {
+    "base, mm": "base_mm",
+    "planned top, mm": "planned_top_mm",
+    "corrected top, mm": "corrected_top_mm",
+    "measured top, mm": "measured_top_mm",
+    "deviation, mm": "deviation_mm",
+    "height, mm": "thickness_mm",
+    "as grown, mm": "grown_mm",
+    "cusp, mm": "cusp_mm",
+}
+"""Columns of the table of heights, by their names on the page."""
+
+
 def _heights(build: _Build) -> Markup:
     if not build.heights:
         return section("heights", "Heights", WHAT_HEIGHTS, paragraph("No layer was measured yet."))
-    svg = Markup(heights_plot(build.heights))
-    return section(
-        "heights", "Heights", WHAT_HEIGHTS,
-        picture(svg, "Heights over the layers: planned at the beginning, corrected when the layer was published, and measured; height, cusp and deviation."),
-        collapsed(f"Table of {counted(len(build.heights['layer']), 'layer')}", _table(build)),
-    )  # fmt: skip
-
-
-def _table(build: _Build) -> Markup:
-    names = (
-        "layer",
-        "base",
-        "planned top",
-        "corrected top",
-        "measured top",
-        "deviation",
-        "height",
-        "as grown",
-        "cusp",
-    )
-    columns = (
-        "base_mm",
-        "planned_top_mm",
-        "corrected_top_mm",
-        "measured_top_mm",
-        "deviation_mm",
-        "thickness_mm",
-        "grown_mm",
-        "cusp_mm",
-    )
+    columns, layers = ("layer", *HEIGHTS), build.heights["layer"]
     rows = [
-        (
-            figure(int(build.heights["layer"][k])),
-            *(_mm(float(build.heights[name][k])) for name in columns),
-        )
-        for k in range(len(build.heights["layer"]))
+        (figure(int(layer)), *(_mm(float(build.heights[name][k])) for name in HEIGHTS.values()))
+        for k, layer in enumerate(layers)
     ]
-    return table(
-        tuple(n if n == "layer" else f"{n}, mm" for n in names),
-        rows,
-        numbers=tuple(n if n == "layer" else f"{n}, mm" for n in names),
-    )
+    caption = "Heights over the layers: planned at the beginning, corrected when the layer was published, and measured; height, cusp and deviation."
+    drawn = picture(Markup(heights_plot(build.heights)), caption)
+    listed = collapsed(f"Table of {counted(len(layers), 'layer')}", table(columns, rows, numbers=columns))
+    return section("heights", "Heights", WHAT_HEIGHTS, drawn, listed)
 
 
 def _mm(value: float) -> Any:
@@ -231,53 +183,38 @@ def _mm(value: float) -> Any:
 
 
 def _layers(build: _Build) -> Markup:
-    head = (
-        "layer",
-        "program",
-        "SHA-256",
-        "islands",
-        "gates open",
-        "feed, mm/s",
-        "wait, s",
-        "time, s",
-        "from its text",
-    )
+    columns = (
+        "layer", "program", "SHA-256", "islands", "gates open", "feed, mm/s", "wait, s", "time, s", "from its text",
+    )  # fmt: skip
     rows = []
     for layer, found in sorted(build.certificates.items()):
         seen = build.verified.get(str(found["name"]))
-        text = (
-            "not verified yet"
-            if seen is None
-            else f"{seen.checks} checks passed"
-            if seen.passed
-            else seen.why
-        )
-        called = str(found["called"])
-        gates = found["gates"]
+        text = "not verified yet"
+        if seen is not None:
+            text = f"{seen.checks} checks passed" if seen.passed else seen.why
+        called, gates = str(found["called"]), found["gates"]
         rows.append(
             (
-                figure(layer), element("code", called), element("code", str(found["files"][called])[:SHORT_HASH]), figure(found["islands"]),
+                figure(layer),
+                element("code", called),
+                element("code", str(found["files"][called])[:SHORT_HASH]),
+                figure(found["islands"]),
                 f"{sum(bool(g['passed']) for g in gates)} of {len(gates)}",
-                figure(found.get("travel_speed_mm_s", build.config.process.travel_speed_mm_s)),
-                figure(found["wait_s"]), figure(found["layer_s"]), text,
+                figure(_feed(build, found)),
+                figure(found["wait_s"]),
+                figure(found["layer_s"]),
+                text,
             )
-        )  # fmt: skip
+        )
     numbers = ("layer", "islands", "feed, mm/s", "wait, s", "time, s")
-    return section(
-        "layers",
-        "Layers",
-        WHAT_LAYERS,
-        collapsed(f"Table of {counted(len(rows), 'layer')}", table(head, rows, numbers=numbers)),
-    )
+    listed = collapsed(f"Table of {counted(len(rows), 'layer')}", table(columns, rows, numbers=numbers))
+    return section("layers", "Layers", WHAT_LAYERS, listed)
 
 
 def _refused(build: _Build) -> Markup:
-    rows = [
-        (str(entry.get("kind")), str(entry.get("code", "")), str(entry.get("reason", "")))
-        for entry in build.entries
-        if entry.get("kind") in ("refused", "kept")
-    ]
-    body = (
-        table(("answer", "code", "reason"), rows) if rows else paragraph("Nothing was refused or kept back.")
+    kept = [entry for entry in build.entries if entry.get("kind") in ("refused", "kept")]
+    rows = [tuple(str(entry.get(key, "")) for key in ("kind", "code", "reason")) for entry in kept]
+    none = paragraph("Nothing was refused or kept back.")
+    return section(
+        "refused", "Refused", WHAT_REFUSED, table(("answer", "code", "reason"), rows) if rows else none
     )
-    return section("refused", "Refused", WHAT_REFUSED, body)

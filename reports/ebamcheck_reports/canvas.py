@@ -34,6 +34,11 @@ class Canvas:
     width_px: float = 760.0
     body: list[Markup] = field(default_factory=list)
 
+    @classmethod
+    def of(cls, points: Floats, width_px: float) -> Canvas:
+        """A drawing of the box about points (n, 2)."""
+        return cls((*points.min(axis=0).tolist(), *points.max(axis=0).tolist()), width_px)
+
     def __post_init__(self) -> None:
         x0, y0, x1, y1 = self.box
         least = max(LEAST_EXTENT_MM, 0.02 * max(x1 - x0, y1 - y0))
@@ -50,8 +55,6 @@ class Canvas:
         x = self.left_px + (points[..., 0] - self.box[0]) * self.px_per_mm
         y = MARGIN_PX + (self.box[3] - points[..., 1]) * self.px_per_mm
         return np.stack([x, y], axis=-1)
-
-    # -- shapes ------------------------------------------------------------------------------------
 
     def lines(self, geometry: BaseGeometry, **style: Any) -> None:
         """Draw lines, or the borders of a region, clipped to the box; regions are filled if `fill` is given."""
@@ -92,17 +95,8 @@ class Canvas:
     def circle(self, x_mm: float, y_mm: float, radius_px: float, colour: str) -> None:
         """Draw a circle around a place."""
         x, y = self.pixels(np.array([x_mm, y_mm])).tolist()
-        self.body.append(
-            element(
-                "circle",
-                cx=f"{x:.1f}",
-                cy=f"{y:.1f}",
-                r=radius_px,
-                fill="none",
-                stroke=colour,
-                stroke_width=2,
-            )
-        )
+        place = {"cx": f"{x:.1f}", "cy": f"{y:.1f}", "r": radius_px}
+        self.body.append(element("circle", **place, fill="none", stroke=colour, stroke_width=2))
 
     def arrows(self, places: Floats, colour: str) -> None:
         """Draw a path from place to place, with an arrow head in the middle of each leg."""
@@ -115,10 +109,8 @@ class Canvas:
         middle = 0.5 * (at[:-1] + at[1:]) + 4.0 * leg
         across = np.column_stack([-leg[:, 1], leg[:, 0]])
         left, right = middle - 7.0 * leg + 3.5 * across, middle - 7.0 * leg - 3.5 * across
-        self._path(
-            "M" + "L".join(f"{x:.1f},{y:.1f}" for x, y in at.tolist()),
-            {"stroke": colour, "stroke_width": 1.2},
-        )
+        way = "M" + "L".join(f"{x:.1f},{y:.1f}" for x, y in at.tolist())
+        self._path(way, {"stroke": colour, "stroke_width": 1.2})
         heads = np.concatenate([left, middle, right], axis=1)[length > 14.0].tolist()
         data = "".join(f"M{a:.1f},{b:.1f}L{c:.1f},{d:.1f}L{e:.1f},{f:.1f}Z" for a, b, c, d, e, f in heads)
         self._path(data, {"fill": colour})
@@ -126,28 +118,20 @@ class Canvas:
     def label(self, x_mm: float, y_mm: float, text: str, size_px: float = 11.0) -> None:
         """Write a text centred on a place, readable on any colour."""
         x, y = self.pixels(np.array([x_mm, y_mm])).tolist()
-        self.body.append(
-            element(
-                "text", text, x=f"{x:.1f}", y=f"{y + 0.36 * size_px:.1f}", font_size=size_px, text_anchor="middle",
-                fill="#111", stroke="#fff", stroke_width=3, paint_order="stroke", stroke_linejoin="round",
-            )
-        )  # fmt: skip
+        halo = {"stroke": "#fff", "stroke_width": 3, "paint_order": "stroke", "stroke_linejoin": "round"}
+        place = {
+            "x": f"{x:.1f}",
+            "y": f"{y + 0.36 * size_px:.1f}",
+            "font_size": size_px,
+            "text_anchor": "middle",
+        }
+        self.body.append(element("text", text, **place, fill="#111", **halo))
 
     def svg(self, title: str) -> Markup:
         """Return the picture, with a scale bar."""
-        return element(
-            "svg",
-            element("title", title),
-            element("rect", width=f"{self.width_px:g}", height=self.height_px, fill="#fff"),
-            *self.body,
-            *self._scale_bar(),
-            viewBox=f"0 0 {self.width_px:g} {self.height_px}",
-            width=f"{self.width_px:g}",
-            height=self.height_px,
-            role="img",
-        )
-
-    # -- pieces ------------------------------------------------------------------------------------
+        size = {"width": f"{self.width_px:g}", "height": self.height_px}
+        body = [element("title", title), element("rect", **size, fill="#fff"), *self.body, *self._scale_bar()]
+        return element("svg", *body, viewBox=f"0 0 {self.width_px:g} {self.height_px}", **size, role="img")
 
     def _wider_box(self) -> Box:
         """Box with the margins of the picture and a little more, so that cut ends do not show."""
@@ -179,17 +163,20 @@ class Canvas:
         back = element("rect", x=0, y=self.height_px - FOOT_PX + 2, width=f"{self.width_px:g}", height=FOOT_PX - 2, fill="#fff")  # fmt: skip
         data = f"M{x0:.1f},{y - 4:.1f}v8M{x0:.1f},{y:.1f}H{x1:.1f}M{x1:.1f},{y - 4:.1f}v8"
         bar = element("path", d=data, fill="none", stroke="#333", stroke_width=1.5)
-        return [
-            back,
-            bar,
-            element("text", f"{length_mm:g} mm", x=f"{x1 + 6:.1f}", y=f"{y + 4:.1f}", font_size=12),
-        ]
+        name = element("text", f"{length_mm:g} mm", x=f"{x1 + 6:.1f}", y=f"{y + 4:.1f}", font_size=12)
+        return [back, bar, name]
 
 
 def outline(layers: Layers, ring: int) -> Floats:
     """Points of a ring, its first one again at the end, or of an open path, (n, 2) mm."""
     points = layers.ring(ring)
     return np.concatenate([points, points[:1]]) if layers.closed[ring] else points
+
+
+def outlines(layers: Layers | None, layer: int) -> list[Floats]:
+    """Rings and paths of a layer that have a length; none without layers."""
+    found = [] if layers is None else [outline(layers, ring) for ring in layers.rings_of(layer)]
+    return [points for points in found if len(points) > 1]
 
 
 def around(x_mm: float, y_mm: float, half_mm: float) -> Box:

@@ -8,37 +8,24 @@ from importlib.resources import files
 from ebamcheck.atomic_file import replacing
 from ebamcheck.errors import EbamcheckError
 from ebamcheck.record.run_folder import RunFolder
-from ebamcheck_reports.markup import Markup, element, join, mark, paragraph, section
-from ebamcheck_reports.pages import page
+from ebamcheck_reports.markup import Markup, element, header, mark, page, paragraph, section
 from ebamcheck_reports.run_data import RunData
-from ebamcheck_reports.sections import (
-    agreement,
-    certificate,
-    fit,
-    metal,
-    part,
-    program,
-    reproduce,
-    scan,
-    slicers,
-    summary,
-    verdict,
-)
+from ebamcheck_reports.sections import agreement, evidence, fit, input, metal, program, scan, summary
 
 NAME = "report.html"
 
 SECTIONS: tuple[tuple[str, str, Callable[[RunData], Markup]], ...] = (
-    ("summary", "Summary", summary.render),
-    ("verdict", "Verdict", verdict.render),
-    ("part", "Part", part.render),
-    ("slicers", "Slicers", slicers.render),
+    ("summary", "Summary", summary.summary),
+    ("verdict", "Verdict", summary.verdict),
+    ("part", "Part", input.part),
+    ("slicers", "Slicers", input.slicers),
     ("agreement", "Agreement", agreement.render),
     ("fit", "Fit", fit.render),
     ("scan", "Partition and order", scan.render),
     ("metal", "Metal", metal.render),
     ("program", "Program", program.render),
-    ("certificate", "Certificate", certificate.render),
-    ("reproduce", "Reproduce", reproduce.render),
+    ("certificate", "Certificate", evidence.certificate),
+    ("reproduce", "Reproduce", evidence.reproduce),
 )
 
 JUDGED_BY = {
@@ -66,37 +53,30 @@ def write(run: RunFolder) -> list[str]:
 
 def document(run: RunData) -> str:
     """Build the whole page."""
-    name = run.part_of("part")["name"]
-    main = element("main", *_sections(run))
-    return page(f"ebamcheck: {name}", _header(run), main, _footer(), element("script", _script()))
+    record, program = run.part_of("part"), run.manifest.get("program")
+    made = "; no program was made from them."
+    if program is not None:
+        made = ", and the program made from them was read back and checked."
+    head = header(
+        f"Slicing report: {record['name']}",
+        f"{record['source']}, checked by ebamcheck {run.manifest['ebamcheck']}. "
+        f"The part was cut by several methods and the results were compared{'.' if run.is_check else made}",
+        [chapter[:2] for chapter in _chapters(run)],
+    )
+    said = paragraph("Every figure is from ", element("code", "run.json"), " in the folder of this report.")
+    script = files("ebamcheck_reports").joinpath("report.js").read_text(encoding="utf-8")
+    return page(
+        f"ebamcheck: {record['name']}",
+        head,
+        element("main", *_sections(run)),
+        element("footer", said),
+        element("script", Markup(f"//<![CDATA[\n{script}//]]>")),
+    )
 
 
 def _chapters(run: RunData) -> list[tuple[str, str, Callable[[RunData], Markup]]]:
     """Sections that apply to the job."""
     return [chapter for chapter in SECTIONS if not (run.is_check and chapter[0] in OF_THE_PROGRAM)]
-
-
-def _header(run: RunData) -> Markup:
-    links = [element("a", title, href=f"#{anchor}") for anchor, title, _ in _chapters(run)]
-    record = run.part_of("part")
-    return element(
-        "header",
-        element("h1", f"Slicing report: {record['name']}"),
-        paragraph(
-            f"{record['source']}, checked by ebamcheck {run.manifest['ebamcheck']}. "
-            "The part was cut by several methods and the results were compared" + _of_program(run)
-        ),
-        element("nav", *links),
-    )
-
-
-def _of_program(run: RunData) -> str:
-    """What became of the program, as the end of the first sentence."""
-    if run.is_check:
-        return "."
-    if run.manifest.get("program") is None:
-        return "; no program was made from them."
-    return ", and the program made from them was read back and checked."
 
 
 def _sections(run: RunData) -> list[Markup]:
@@ -106,11 +86,8 @@ def _sections(run: RunData) -> list[Markup]:
             made.append(_folded(run, anchor, title, render(run)))
         except EbamcheckError as error:
             # A missing or damaged file of the run costs its section, not the whole report.
-            made.append(
-                section(
-                    anchor, title, "This section cannot be shown.", paragraph(str(error), class_="note bad")
-                )
-            )
+            said = paragraph(str(error), class_="note bad")
+            made.append(section(anchor, title, "This section cannot be shown.", said))
     return made
 
 
@@ -122,18 +99,3 @@ def _folded(run: RunData, anchor: str, title: str, rendered: Markup) -> Markup:
     passed = not shut.intersection(JUDGED_BY[anchor]) if anchor in JUDGED_BY else run.passed
     head = element("summary", element("b", title), " ", mark(True) if passed and anchor in JUDGED_BY else "")
     return element("details", head, rendered, class_="chapter", open=None if passed else "open")
-
-
-def _footer() -> Markup:
-    return element(
-        "footer",
-        paragraph("Every figure is from ", element("code", "run.json"), " in the folder of this report."),
-    )
-
-
-def _resource(name: str) -> Markup:
-    return Markup(files("ebamcheck_reports").joinpath(name).read_text(encoding="utf-8"))
-
-
-def _script() -> Markup:
-    return join([Markup("//<![CDATA[\n"), _resource("report.js"), Markup("//]]>")])

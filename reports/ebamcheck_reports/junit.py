@@ -19,7 +19,7 @@ from ebamcheck.record.run_folder import RunFolder
 from ebamcheck.result import in_words
 from ebamcheck.showing.junit import Case, Kind, junit, write_junit
 from ebamcheck_reports import words
-from ebamcheck_reports.figures import counted, place
+from ebamcheck_reports.markup import counted, place
 from ebamcheck_reports.run_data import RunData
 
 NAME = "junit.xml"
@@ -33,19 +33,8 @@ def write(run: RunFolder) -> list[str]:
 
 def document(run: RunData) -> JUnitXml:
     """Build the suites and their cases."""
-    suites = {
-        "ebamcheck.gates": list(_gates(run)),
-        "ebamcheck.findings": list(_findings(run)),
-        "ebamcheck.backends": list(_backends(run)),
-        "ebamcheck.agreement": list(_pairs(run)),
-        "ebamcheck.program": list(_checks(run)),
-    }
-    return junit("ebamcheck", suites, _properties(run))
-
-
-def _properties(run: RunData) -> dict[str, str]:
     part = run.part_of("part")
-    return {
+    properties = {
         "part": str(part["name"]),
         "part sha256": str(part["sha256"] or part["mesh_sha256"]),
         "settings sha256": str(run.manifest["settings_sha256"]),
@@ -53,9 +42,14 @@ def _properties(run: RunData) -> dict[str, str]:
         "exit code": str(run.manifest["exit_code"]),
         **{head.lower(): "; ".join(clauses) for head, clauses in run.statement.parts() if clauses},
     }
-
-
-# -- cases -----------------------------------------------------------------------------------------
+    cases = {
+        "gates": _gates,
+        "findings": _findings,
+        "backends": _backends,
+        "agreement": _pairs,
+        "program": _checks,
+    }
+    return junit("ebamcheck", {f"ebamcheck.{name}": list(of(run)) for name, of in cases.items()}, properties)
 
 
 def _gates(run: RunData) -> Iterator[Case]:
@@ -86,13 +80,9 @@ def _backends(run: RunData) -> Iterator[Case]:
         if status == "done":
             yield Case(_class(name), "slice")
         else:
-            message = f"{status}: {record['why'] or 'no reason was given'}"
+            outcome: Kind = "error" if status in words.LOST else "skipped"
             yield Case(
-                _class(name),
-                "slice",
-                "error" if status in words.LOST else "skipped",
-                message,
-                status,
+                _class(name), "slice", outcome, f"{status}: {record['why'] or 'no reason was given'}", status
             )
 
 
@@ -112,11 +102,8 @@ def _pairs(run: RunData) -> Iterator[Case]:
                 f"{counted(pair['gated'] - pair['agree'], 'layer')} of {pair['gated']} disagree: depth at most "
                 f"{pair['max_depth_mm']} mm, limit {pair['limit_mm']} mm"
             )
-            found = [
-                _disagreement(f)
-                for f in run.disagreements
-                if {f["backend"], f["against"]} == {pair["a"], pair["b"]}
-            ]
+            both = {pair["a"], pair["b"]}
+            found = [_disagreement(f) for f in run.disagreements if {f["backend"], f["against"]} == both]
             yield Case(classname, name, "failure", message, "disagreement", "\n".join([message, *found]))
 
 

@@ -1,27 +1,96 @@
-"""Pieces of a report page: figures, tables, lists of facts, pictures with their captions."""
+"""Pieces of a report page: numbers for readers, tables, lists of facts, pictures with captions, and the page itself."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from importlib.resources import files
 from typing import Any
 
 from ebamcheck.showing.markup import Markup, clean, escaped
 from ebamcheck.showing.markup import element as plain_element
 from ebamcheck.showing.markup import join as plain_join
-from ebamcheck_reports.figures import number, shown
+from ebamcheck.showing.short_text import counted
 
-__all__ = ["Markup", "clean"]
+__all__ = ["Markup", "clean", "counted"]
+
+UNDEFINED = "not defined"
+
+# -- numbers as text -------------------------------------------------------------------------------
+
+
+def number(value: Any) -> float:
+    """Turn a number of ``run.json`` into a float: ``"NaN"``, ``"Infinity"`` and null as well.
+
+    >>> number("-Infinity"), number(3)
+    (-inf, 3.0)
+    """
+    try:
+        return math.nan if value is None else float(value)
+    except (TypeError, ValueError):
+        return math.nan
+
+
+def shown(value: Any, unit: str = "") -> str:
+    """Write a number with few digits and its unit; the exact value stands in the markup and in ``run.json``.
+
+    >>> shown(0.410115922, "mm"), shown(13084.0), shown("NaN", "mm"), shown("Infinity", "mm")
+    ('0.4101 mm', '13084', 'not defined', 'infinite')
+    """
+    x = number(value)
+    if math.isnan(x):
+        return UNDEFINED
+    if math.isinf(x):
+        return "infinite" if x > 0 else "minus infinite"
+    if x == 1.0 and unit in ("faults", "layers", "characters"):
+        return f"1 {unit[:-1]}"
+    if x == int(x) and abs(x) < 1e9:
+        text = str(int(x))
+    else:
+        text = f"{x:.1f}" if 1000.0 <= abs(x) < 1e9 else f"{x:.4g}"
+    return f"{text} {unit}".strip()
+
+
+def percent(value: Any) -> str:
+    """Write a fraction of 1 as per cent.
+
+    >>> percent(0.95227), percent("NaN")
+    ('95.23 %', 'not defined')
+    """
+    x = number(value)
+    return f"{100.0 * x:.2f} %" if math.isfinite(x) else UNDEFINED
+
+
+def duration(seconds: Any) -> str:
+    """Write a duration in a readable unit.
+
+    >>> duration(0.1032), duration(75.2), duration(4057.8)
+    ('0.103 s', '1 min 15 s', '1 h 7 min 38 s')
+    """
+    x = number(seconds)
+    if not math.isfinite(x):
+        return UNDEFINED
+    if x < 60.0:
+        return f"{x:.3g} s"
+    whole = round(x)
+    hours, minutes, rest = whole // 3600, whole % 3600 // 60, whole % 60
+    return f"{hours} h {minutes} min {rest} s" if hours else f"{minutes} min {rest} s"
+
+
+def place(x_mm: Any, y_mm: Any) -> str:
+    """Write a place on a layer."""
+    x, y = number(x_mm), number(y_mm)
+    return f"({x:.3f}, {y:.3f})" if math.isfinite(x) and math.isfinite(y) else "no place"
+
+
+# -- elements --------------------------------------------------------------------------------------
 
 
 def markup(value: Any) -> Markup:
     """Escape a text, or write a number with its exact value beside it; markup stays as it is, and None becomes empty.
 
-    Examples
-    --------
-    >>> markup("<a&b>")
-    Markup('&lt;a&amp;b&gt;')
-    >>> markup(True)
-    Markup('yes')
+    >>> markup("<a&b>"), markup(True)
+    (Markup('&lt;a&amp;b&gt;'), Markup('yes'))
     """
     if isinstance(value, bool):
         return Markup("yes" if value else "no")
@@ -43,26 +112,43 @@ def figure(value: Any, unit: str = "", text: str = "") -> Markup:
     return element("data", text or shown(value, unit), value=repr(number(value)))
 
 
+def figure_percent(value: Any) -> Markup:
+    """Figure of a fraction of 1, written as per cent."""
+    return figure(value, text=percent(value))
+
+
+def figure_duration(seconds: Any) -> Markup:
+    """Figure of a duration."""
+    return figure(seconds, text=duration(seconds))
+
+
+def figures_of(record: Mapping[str, Any], names: Iterable[tuple[str, str, str]]) -> list[tuple[str, Markup]]:
+    """Facts of a record, each by its name in words, its key and its unit."""
+    return [(name, figure(record[key], unit)) for name, key, unit in names]
+
+
 def table(
     columns: Sequence[str],
     rows: Iterable[Sequence[Any]],
     class_: str | None = None,
     numbers: Sequence[str] = (),
 ) -> Markup:
-    """Build a table; a row that is an element already stays as it is.
-
-    Numbers are set to the right, and so are the heads of the columns named in `numbers`.
-    """
+    """Build a table whose columns in `numbers` have their heads to the right; a row that is an element stays as it is."""
     heads = (element("th", c, scope="col", class_="number" if c in numbers else None) for c in columns)
-    body = [
-        row if isinstance(row, Markup) else element("tr", *(cell(value) for value in row)) for row in rows
-    ]
+    body = [given if isinstance(given, Markup) else row(given) for given in rows]
     whole = element("table", element("thead", element("tr", *heads)), element("tbody", *body), class_=class_)
     return element("div", whole, class_="scroll")
 
 
+def row(cells: Iterable[Any], **attributes: Any) -> Markup:
+    """One row of a table."""
+    return element("tr", *(cell(value) for value in cells), **attributes)
+
+
 def cell(value: Any) -> Markup:
-    """One cell of a table."""
+    """One cell of a table, numbers to the right; a cell that is an element already stays as it is."""
+    if isinstance(value, Markup) and value.startswith(("<td", "<th")):
+        return value
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
     is_figure = isinstance(value, Markup) and value.startswith("<data")
     return element("td", value, class_="number" if is_number or is_figure else None)
@@ -98,6 +184,11 @@ def picture(svg: Markup, caption: Any, class_: str | None = None, name: str | No
     return element("figure", svg, element("figcaption", caption), class_=class_, data_name=name)
 
 
+def collapsed(title: str, *children: Any) -> Markup:
+    """Build a block that opens on a click, without scripts."""
+    return element("details", element("summary", title), *children)
+
+
 DOTS = "dots"
 """In place of dashes, for a legend entry of dots."""
 
@@ -118,6 +209,23 @@ def _sample(colour: str, dashes: str) -> Markup:
     return element("svg", path, width=28, height=10)
 
 
-def collapsed(title: str, *children: Any) -> Markup:
-    """Build a block that opens on a click, without scripts."""
-    return element("details", element("summary", title), *children)
+# -- the page --------------------------------------------------------------------------------------
+
+
+def header(title: str, said: str, chapters: Iterable[tuple[str, str]]) -> Markup:
+    """Head of a page: its title, a paragraph, and links to the sections (anchor, title)."""
+    links = [element("a", name, href=f"#{anchor}") for anchor, name in chapters]
+    return element("header", element("h1", title), paragraph(said), element("nav", *links))
+
+
+def page(title: str, *body: Markup, style: str | Markup = "") -> str:
+    """Build a self-contained page in the style of the reports; `style` comes after theirs."""
+    css = Markup(files("ebamcheck_reports").joinpath("report.css").read_text(encoding="utf-8"))
+    head = element(
+        "head",
+        element("meta", charset="utf-8"),
+        element("meta", name="viewport", content="width=device-width, initial-scale=1"),
+        element("title", title),
+        element("style", css, Markup(style)),
+    )
+    return f"<!DOCTYPE html>\n{element('html', head, element('body', *body), lang='en')}\n"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 
 import numpy as np
@@ -17,27 +16,18 @@ WIDTH_PX, HEIGHT_PX, MARGIN_PX = 420.0, 380.0, 8.0
 MOST_SLABS = 60
 """Most slabs drawn; of more layers some are chosen, each drawn as high as all layers up to the next chosen one."""
 
-REDUCTION_PX = 0.3
-"""Largest distance of a drawn outline from its contour."""
+REDUCTION_PX, SHADED_EVERY_PX = 0.3, 8.0
+"""Largest distance of a drawn outline from its contour, and longest piece of it in one shade."""
 
-SHADED_OVER_PX = 10.0
-"""Length of an outline over which its direction is taken for the shade. Edges of the outline are cut otherwise on every layer: shaded
-by their own directions, a curved wall comes out in patches."""
+SHADED_OVER_PX, SHARP_RAD = 10.0, math.radians(35.0)
+"""Length of an outline over which its direction is taken for the shade, up to a turn at which its walls meet in an edge. Edges of the
+outline are cut otherwise on every layer: shaded by their own directions, a curved wall comes out in patches."""
 
-SHARP_RAD = math.radians(35.0)
-"""Turn of an outline at which its walls meet in an edge."""
-
-TURN_DEG, TILT_DEG = 28.0, 32.0
-"""Direction of view: turn about the vertical, and tilt downwards."""
-
-LIGHT_DEG = 155.0
-"""Where the light comes from, counter-clockwise from +X of the picture."""
+TURN_RAD, TILT_RAD, LIGHT_RAD = math.radians(28.0), math.radians(32.0), math.radians(155.0)
+"""Direction of view (turn about the vertical, tilt downwards), and of the light, counter-clockwise from +X of the picture."""
 
 SHADES = 48
 """So many that none is told from the next one: with a few, their borders are stairs on a curved wall."""
-
-SHADED_EVERY_PX = 8.0
-"""Length of an outline of one shade, at most."""
 
 DARK, BRIGHT, TOP = (58, 84, 110), (166, 192, 214), "#c9d9e6"
 """Walls turned from the light and towards it, and tops: all between white and black, to be seen on either."""
@@ -48,18 +38,22 @@ def draw(layers: Layers, title: str) -> Markup | None:
     chosen = chosen_layers(layers)
     if not chosen.size:
         return None
-    tops = _tops(layers, chosen)
-    view = _View(layers, tops)
-    body = [
-        _slab(layers, int(layer), low, high, view) for layer, (low, high) in zip(chosen, tops, strict=True)
-    ]
+    heights = layers.heights[chosen]
+    # A slab reaches up to the next one.
+    half = 0.5 * float(np.median(np.diff(layers.heights))) if len(layers) > 1 else 0.5
+    low = heights - half
+    high = np.append(low[1:], heights[-1] + half)
+    view = _View(layers, float(low[0]), float(high[-1]))
+    slabs = zip(chosen.tolist(), low.tolist(), high.tolist(), strict=True)
+    body = [part for slab in slabs for part in _slab(layers, *slab, view)]
+    width_px, height_px = f"{view.width_px:.0f}", f"{view.height_px:.0f}"
     return element(
         "svg",
         element("title", title),
-        element("g", *itertools.chain.from_iterable(body), stroke_width=0.6),
-        viewBox=f"0 0 {view.width_px:.0f} {view.height_px:.0f}",
-        width=f"{view.width_px:.0f}",
-        height=f"{view.height_px:.0f}",
+        element("g", *body, stroke_width=0.6),
+        viewBox=f"0 0 {width_px} {height_px}",
+        width=width_px,
+        height=height_px,
         class_="solid",
         role="img",
     )
@@ -73,31 +67,22 @@ def chosen_layers(layers: Layers) -> Ints:
     return filled[np.unique(np.linspace(0, len(filled) - 1, MOST_SLABS).round().astype(np.int64))]
 
 
-def _tops(layers: Layers, chosen: Ints) -> Floats:
-    """Bottom and top of each slab, (n, 2) mm: a slab reaches up to the next one."""
-    heights = layers.heights[chosen]
-    step = float(np.median(np.diff(layers.heights))) if len(layers) > 1 else 1.0
-    low = heights - 0.5 * step
-    high = np.append(low[1:], heights[-1] + 0.5 * step)
-    return np.column_stack([low, high])
-
-
 class _View:
     """Map from millimetres to pixels of the picture."""
 
-    def __init__(self, layers: Layers, tops: Floats) -> None:
-        turn, tilt = math.radians(TURN_DEG), math.radians(TILT_DEG)
-        self._turn = np.array([[math.cos(turn), math.sin(turn)], [-math.sin(turn), math.cos(turn)]])
-        self._flat, self._up = math.sin(tilt), math.cos(tilt)
+    def __init__(self, layers: Layers, bottom_mm: float, top_mm: float) -> None:
+        sine, cosine = math.sin(TURN_RAD), math.cos(TURN_RAD)
+        self._turn = np.array([[cosine, sine], [-sine, cosine]])
+        self._flat, self._up = math.sin(TILT_RAD), math.cos(TILT_RAD)
         turned = layers.points @ self._turn
         low, high = turned.min(axis=0), turned.max(axis=0)
         wide = high[0] - low[0]
-        tall = (high[1] - low[1]) * self._flat + (tops[-1, 1] - tops[0, 0]) * self._up
-        room = WIDTH_PX - 2 * MARGIN_PX, HEIGHT_PX - 2 * MARGIN_PX
-        self.px_per_mm: float = min(room[0] / max(wide, 1e-9), room[1] / max(tall, 1e-9))
+        tall = (high[1] - low[1]) * self._flat + (top_mm - bottom_mm) * self._up
+        room_x, room_y = WIDTH_PX - 2 * MARGIN_PX, HEIGHT_PX - 2 * MARGIN_PX
+        self.px_per_mm: float = min(room_x / max(wide, 1e-9), room_y / max(tall, 1e-9))
         self.width_px = wide * self.px_per_mm + 2 * MARGIN_PX
         self.height_px = tall * self.px_per_mm + 2 * MARGIN_PX
-        self._left, self._bottom = float(low[0]), float(low[1]) * self._flat + float(tops[0, 0]) * self._up
+        self._left, self._bottom = float(low[0]), float(low[1]) * self._flat + bottom_mm * self._up
 
     def turned(self, points: Floats) -> Floats:
         """Points (n, 2) after the turn about the vertical; +Y then points away from the viewer."""
@@ -124,7 +109,8 @@ def _slab(layers: Layers, layer: int, low_mm: float, high_mm: float, view: _View
             continue
         turned = _reduced(view.turned(layers.ring(ring)), REDUCTION_PX / view.px_per_mm)
         top += "M" + " ".join(f"{x:.1f},{y:.1f}" for x, y in view.pixels(turned, high_mm).tolist()) + "Z"
-        divided = _divided(turned, SHADED_EVERY_PX / view.px_per_mm)
+        line = shapely.LinearRing(turned).segmentize(SHADED_EVERY_PX / view.px_per_mm)
+        divided = np.asarray(shapely.get_coordinates(line)[:-1])
         at = view.pixels(divided, high_mm)
         corner = (divided[:, None] == turned[None]).all(axis=2).any(axis=1)
         for shade, run in _facing(divided, SHADED_OVER_PX / view.px_per_mm):
@@ -145,12 +131,6 @@ def _reduced(points: Floats, tolerance_mm: float) -> Floats:
     return kept if len(kept) >= 3 else points
 
 
-def _divided(ring: Floats, most_mm: float) -> Floats:
-    """Points of a closed ring with others between them, at most so far apart."""
-    line = shapely.LinearRing(ring).segmentize(most_mm)
-    return np.asarray(shapely.get_coordinates(line)[:-1])
-
-
 def _facing(ring: Floats, over_mm: float) -> list[tuple[int, Ints]]:
     """Runs of a ring's points along which it faces the viewer in one shade; the metal lies on the left of a ring."""
     step = np.roll(ring, -1, axis=0) - ring
@@ -160,16 +140,12 @@ def _facing(ring: Floats, over_mm: float) -> list[tuple[int, Ints]]:
     behind, ahead = (np.minimum(half, away) for away in _to_corners(step, length, middle))
     chord = _places(ring, length, middle + ahead) - _places(ring, length, middle - behind)
     normal = np.column_stack([chord[:, 1], -chord[:, 0]]) / np.maximum(np.hypot(*chord.T), 1e-12)[:, None]
-    light = np.array([math.cos(math.radians(LIGHT_DEG)), -math.sin(math.radians(LIGHT_DEG))])
+    light = np.array([math.cos(LIGHT_RAD), -math.sin(LIGHT_RAD)])
     lit = np.rint((0.5 + 0.5 * normal @ light) * (SHADES - 1)).astype(np.int64)
     shades = np.where(step[:, 0] > 0.0, lit, -1)
-    cuts = np.flatnonzero(np.diff(shades)) + 1
-    runs = np.split(np.arange(len(ring)), cuts)
-    return [
-        (int(shades[run[0]]), np.append(run, (run[-1] + 1) % len(ring)))
-        for run in runs
-        if shades[run[0]] >= 0
-    ]
+    runs = np.split(np.arange(len(ring)), np.flatnonzero(np.diff(shades)) + 1)
+    seen = [run for run in runs if shades[run[0]] >= 0]
+    return [(int(shades[run[0]]), np.append(run, (run[-1] + 1) % len(ring))) for run in seen]
 
 
 def _to_corners(step: Floats, length: Floats, middle: Floats) -> tuple[Floats, Floats]:

@@ -26,7 +26,7 @@ def polar(
 
     Example: ebamcheck polar blade.run --layer 4 -o polar.html
     """
-    from ebamcheck_reports.pages import page
+    from ebamcheck_reports.markup import page
     from ebamcheck_reports.run_data import RunData, layer_name
     from ebamcheck_reports.sections.fit import polar_chart, polar_errors, rays_rad
 
@@ -43,14 +43,13 @@ def polar(
     chosen = data.middle_layer if layer is None else index_of_number(layer, len(layers))
     if chosen is None:
         raise InputError(f"{run}: no layer of it has a contour")
-    theta = rays_rad()
-    errors = polar_errors(layers, curves, truth, chosen, theta)
+    errors = polar_errors(layers, curves, truth, chosen, rays_rad())
     if errors is None:
         raise SettingsError(f"--layer {chosen + 1}: there is no closed contour on that layer; choose another")
     rows = [_figures(of, error) for of, error in zip(("contour", "curve"), errors, strict=True)]
     name = layer_name(chosen, float(layers.heights[chosen]))
     if output is not None:
-        text = page(f"{run.name}: {name}", polar_chart(layers, chosen, theta, errors))
+        text = page(f"{run.name}: {name}", polar_chart(layers, chosen, errors))
         with replacing(output) as temporary:
             temporary.write_text(text, encoding="utf-8")
     if as_json:

@@ -24,34 +24,21 @@ def report(
     Example: ebamcheck report blade.run -o blade.html
     """
     from ebamcheck.live.verifying import is_build
-    from ebamcheck_reports.html import document
+    from ebamcheck_reports import build_page, html
     from ebamcheck_reports.run_data import RunData
 
-    if is_build(run):
-        return _of_build(run, output or Path(f"{run.resolve().name}.html"))
-    if not (run / MANIFEST).is_file():
+    build = is_build(run)
+    if not build and not (run / MANIFEST).is_file():
         raise InputError(f"{run}: is no finished run folder: it has no {MANIFEST}")
-    target = output or Path(f"{run.resolve().name.removesuffix('.run')}.html")
+    name = run.resolve().name
+    target = output or Path(f"{name if build else name.removesuffix('.run')}.html")
     if target.suffix.lower() != ".html":
         raise SettingsError(f"{target}: give FILE.html")
-    if run.resolve() in target.resolve().parents:
+    if not build and run.resolve() in target.resolve().parents:
         raise SettingsError(
             f"{target}: lies in the run, whose certificate names every file by its hash: give another place with -o"
         )
-    text = document(RunData(RunFolder(run)))
-    with replacing(target) as temporary:
-        temporary.write_text(text, encoding="utf-8")
-    typer.echo(f"report: {target}")
-    return ExitCode.PASS
-
-
-def _of_build(folder: Path, target: Path) -> ExitCode:
-    """Render the page of a live build."""
-    from ebamcheck_reports.build_page import document
-
-    if target.suffix.lower() != ".html":
-        raise SettingsError(f"{target}: give FILE.html")
-    text = document(folder)
+    text = build_page.document(run) if build else html.document(RunData(RunFolder(run)))
     with replacing(target) as temporary:
         temporary.write_text(text, encoding="utf-8")
     typer.echo(f"report: {target}")

@@ -2,24 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import pandas as pd
 
 from ebamcheck.curves import Curves
 from ebamcheck.errors import InputError
-from ebamcheck.layers import files as layer_files
-from ebamcheck.layers.files import LayerFile
+from ebamcheck.layers.files import LayerFile, read_parquet
 from ebamcheck.layers.stack import Layers
 from ebamcheck.record.certificate import Statement, statement
 from ebamcheck.record.run_folder import RunFolder
 from ebamcheck.scan import ScanPlan
 from ebamcheck.settings.config import Config, validated
-from ebamcheck_reports.figures import number
+from ebamcheck_reports.markup import number
 
 GATES = ("input", "agreement", "fit", "coverage", "deposit", "heat", "program")
 """Gates of a run in their order; a run without contours ends after the second."""
@@ -27,8 +26,10 @@ GATES = ("input", "agreement", "fit", "coverage", "deposit", "heat", "program")
 CHECK_GATES = GATES[:2]
 """Gates of a cross-check alone."""
 
-REFERENCE = "reference.parquet"
-"""Sections of the finer tessellation, where the run kept them."""
+BEAD_WIDTH_MM = 6.0
+"""Width at which beads are drawn if the settings name none."""
+
+Column = TypeVar("Column")
 
 
 class RunData:
@@ -123,16 +124,8 @@ class RunData:
         """Whether every gate passed: the program says so itself, and the run ended well."""
         return bool(self.part_of("program").get("validated")) and self.manifest["exit_code"] == 0
 
-    # -- tables ------------------------------------------------------------------------------------
-
     def table(self, name: str) -> pd.DataFrame:
-        """Read a table of the run, as people open it: its column `layer` counts from 1.
-
-        Raises
-        ------
-        InputError
-            If it is missing or damaged.
-        """
+        """Read a table of the run, as people open it: its column `layer` counts from 1; InputError if missing or damaged."""
         path = self.folder.path / name
         try:
             found = pd.read_parquet(path) if path.suffix == ".parquet" else pd.read_csv(path)
@@ -152,8 +145,6 @@ class RunData:
     def layer_table(self) -> pd.DataFrame:
         """One row a layer: verdict, areas and counts of each backend."""
         return self.table("layers.csv")
-
-    # -- columns -----------------------------------------------------------------------------------
 
     @cached_property
     def methods(self) -> list[str]:
@@ -184,24 +175,21 @@ class RunData:
     @cached_property
     def curves(self) -> Curves | None:
         """Fitted contours."""
-        path = self._existing("curves.parquet")
-        return Curves.from_parquet(path) if path else None
+        return self._column("curves", Curves.from_parquet)
 
     @cached_property
     def plan(self) -> ScanPlan | None:
         """Scan plan of the layers."""
-        path = self._existing("scan.parquet")
-        return ScanPlan.from_parquet(path) if path else None
+        return self._column("scan", ScanPlan.from_parquet)
 
     @cached_property
     def reference(self) -> Layers | None:
         """Sections of the finer tessellation."""
-        path = self._existing(REFERENCE)
-        return layer_files.read_parquet(path) if path else None
+        return self._column("reference", read_parquet)
 
-    def _existing(self, name: str) -> Path | None:
-        path = self.folder.path / name
-        return path if path.is_file() else None
+    def _column(self, name: str, read: Callable[[Path], Column]) -> Column | None:
+        path = self.folder.path / f"{name}.parquet"
+        return read(path) if path.is_file() else None
 
     @cached_property
     def filled_layers(self) -> list[int]:

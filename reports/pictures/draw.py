@@ -14,10 +14,13 @@ from ebamcheck.record.run_folder import RunFolder
 from ebamcheck.scan import ScanPlan
 from ebamcheck.scan.plan.comparing import SEEDS, OrderComparison, compared_orders, figures_of
 from ebamcheck.settings.config import Config
+from ebamcheck.showing.markup import FONT
 from ebamcheck.showing.pictures import Scene, islands_svg, pareto_svg
-from ebamcheck_reports import metal_picture, overlays, part_picture, program_picture, scan_picture
+from ebamcheck_reports import part_picture, program_pictures
 from ebamcheck_reports.markup import Markup, element
 from ebamcheck_reports.run_data import RunData, layer_name
+from ebamcheck_reports.sections import agreement, scan
+from ebamcheck_reports.sections import metal as metal_section
 
 ROOT_LAYER, BLADE_LAYER = 12, 57
 """A layer of the root, which is partitioned into hexagons, and one through the hollow blade."""
@@ -44,7 +47,7 @@ def draw(folder: Path, target: Path) -> None:
     run = RunData(RunFolder(folder))
     exact = RunFolder(folder).read_layers(run.manifest["primary"])
     stacks = run.layer(BLADE_LAYER)
-    worst = overlays.worst_places(run)[BLADE_LAYER]
+    worst = agreement.worst_places(run)[BLADE_LAYER]
     reach = WORST_LIMITS * worst.limit_mm
     plan = ScanPlan.from_parquet(folder / "scan.parquet")
     program = read_program(folder / "program", run.config)
@@ -61,9 +64,9 @@ def draw(folder: Path, target: Path) -> None:
             box=(worst.x_mm - 3 * reach, worst.y_mm - reach, worst.x_mm + 3 * reach, worst.y_mm + reach),
             title=f"layer {BLADE_LAYER + 1}, enlarged: {worst.pair}, {worst.depth_mm:.3f} mm deep",
         ),
-        "partition-root": scan_picture.draw(plan, exact, ROOT_LAYER, bead_mm, root),
-        "partition-blade": scan_picture.draw(plan, exact, BLADE_LAYER, bead_mm, blade),
-        "program-blade": program_picture.draw(program, f"{blade}, read back from the program", BLADE_LAYER),
+        "partition-root": scan.draw(plan, exact, ROOT_LAYER, bead_mm, root),
+        "partition-blade": scan.draw(plan, exact, BLADE_LAYER, bead_mm, blade),
+        "program-blade": program_pictures.draw(program, f"{blade}, read back from the program", BLADE_LAYER),
         "metal-root": metal(
             program, RunFolder(folder).read_layers(run.manifest["program"]["witness"]), run.config, root
         ),
@@ -78,42 +81,28 @@ def draw(folder: Path, target: Path) -> None:
 
 def idea(run: RunData, exact: Layers, stacks: dict[str, Layers], program: NCProgram, texts: Path) -> str:
     """The idea in one row: the part, one layer by every slicer, the verdict, and the program read back."""
-    layers = [
-        _placed(
-            layer_svg(stack, 0, width_px=270, title=f"{name}: {METHODS.get(name, name)}"), 295, 60 + 118 * row
-        )
-        for row, (name, stack) in enumerate(sorted(stacks.items()))
-    ]
-    gates = [
-        _words(f"{'✓' if gate['passed'] else '✗'} {gate['name']}", 640, 165 + 28 * row)
-        for row, gate in enumerate(run.gates)
-    ]
     subprogram = sorted(texts.glob("*.SPF"))[BLADE_LAYER]
     blocks = [line for line in subprogram.read_text("utf-8").splitlines() if line.startswith("N")]
     quoted = [line for line in blocks if line.split()[1].startswith(SHOWN_BLOCKS)][2:10]
-    path = program_picture.draw(program, "the same layer, read back from the program", BLADE_LAYER)
+    path = program_pictures.draw(program, "the same layer, read back from the program", BLADE_LAYER)
     heads = ("one part", 20), (f"{len(stacks)} slicers", 300), ("one verdict", 625), ("one program", 905)
     verdict = "VALIDATED" if run.validated else "NOT VALIDATED"
     agreement = next(gate["text"] for gate in run.gates if gate["name"] == "agreement")
-    body = [
-        element("rect", width="1240", height="545", fill="#fff"),
-        *(_words(head, x, 34, size=19, weight="bold") for head, x in heads),
-        *(_words("→", x, 290, size=34) for x in (255, 578, 862)),
-        _placed(str(part_picture.draw(exact, "the part") or ""), 10, 150, 235),
-        *layers,
-        *(
-            _words(text, 640, 90 + 20 * row, size=15)
-            for row, text in enumerate(agreement.replace(" on ", "\non ").splitlines())
-        ),
-        *gates,
-        _words(verdict, 640, 165 + 28 * len(run.gates) + 20, size=22, weight="bold"),
-        *(
-            _words(f"{line:.44}", 905, 75 + 19 * row, size=12, family="monospace")
-            for row, line in enumerate(quoted)
-        ),
-        _placed(str(path or ""), 895, 250, 335),
-        _words("the path, read back from such text alone", 905, 360, size=15),
-    ]
+    body = [element("rect", width="1240", height="545", fill="#fff")]
+    body += [_words(head, x, 34, size=19, weight="bold") for head, x in heads]
+    body += [_words("→", x, 290, size=34) for x in (255, 578, 862)]
+    body.append(_placed(str(part_picture.draw(exact, "the part") or ""), 10, 150, 235))
+    for row, (name, stack) in enumerate(sorted(stacks.items())):
+        svg = layer_svg(stack, 0, width_px=270, title=f"{name}: {METHODS.get(name, name)}")
+        body.append(_placed(svg, 295, 60 + 118 * row))
+    for row, text in enumerate(agreement.replace(" on ", "\non ").splitlines()):
+        body.append(_words(text, 640, 90 + 20 * row, size=15))
+    for row, gate in enumerate(run.gates):
+        body.append(_words(f"{'✓' if gate['passed'] else '✗'} {gate['name']}", 640, 165 + 28 * row))
+    body.append(_words(verdict, 640, 165 + 28 * len(run.gates) + 20, size=22, weight="bold"))
+    body += [_words(f"{q:.44}", 905, 75 + 19 * n, size=12, family="monospace") for n, q in enumerate(quoted)]
+    body.append(_placed(str(path or ""), 895, 250, 335))
+    body.append(_words("the path, read back from such text alone", 905, 360, size=15))
     title = element(
         "title", "One part, cut by several slicers, becomes a program only if one verdict allows it"
     )
@@ -135,16 +124,8 @@ def _placed(picture: str, x: float, y: float, width: float | None = None) -> Mar
 def _words(
     text: str, x: float, y: float, *, size: int = 16, weight: str = "normal", family: str = ""
 ) -> Markup:
-    return element(
-        "text",
-        text,
-        x=f"{x:g}",
-        y=f"{y:g}",
-        font_size=str(size),
-        font_weight=weight,
-        font_family=family or "Helvetica, Arial, sans-serif",
-        fill="#222",
-    )
+    font = {"font_size": str(size), "font_weight": weight, "font_family": family or FONT}
+    return element("text", text, x=f"{x:g}", y=f"{y:g}", **font, fill="#222")
 
 
 def metal(program: NCProgram, witness: Layers, config: Config, what: str) -> str:
@@ -153,7 +134,7 @@ def metal(program: NCProgram, witness: Layers, config: Config, what: str) -> str
     field = deposit(program, witness, z_of, config, keep={ROOT_LAYER}).fields[ROOT_LAYER]
     section = witness.section(ROOT_LAYER)
     thickness_mm = float(z_of[ROOT_LAYER] - z_of[ROOT_LAYER - 1])
-    return metal_picture.draw(field, section, thickness_mm, config.process.largest_unevenness_mm, what)
+    return metal_section.draw(field, section, thickness_mm, config.process.largest_unevenness_mm, what)
 
 
 def orders(exact: Layers, config: Config, what: str) -> dict[str, str]:
@@ -168,10 +149,7 @@ def orders(exact: Layers, config: Config, what: str) -> dict[str, str]:
     return {
         "orders-pareto": pareto_svg(figures, f"{what}: {len(islands)} islands"),
         "orders-rank": islands_svg(
-            islands,
-            thermal.rank.astype(float),
-            f"{what}: rank in the order thermal",
-            scene=scene,
+            islands, thermal.rank.astype(float), f"{what}: rank in the order thermal", scene=scene
         ),
     }
 

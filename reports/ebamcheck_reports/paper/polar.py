@@ -19,7 +19,8 @@ from ebamcheck_reports.canvas import Canvas
 from ebamcheck_reports.charts import Series, line_chart
 from ebamcheck_reports.markup import Markup, join, legend
 from ebamcheck_reports.paper import published
-from ebamcheck_reports.paper.effort import Effort, Note
+from ebamcheck_reports.paper.published import Effort, Note
+from ebamcheck_reports.sections.fit import rays_rad
 
 FREEFORM = ("ladder", "blade", "impeller")
 """Models with curved walls; the first one is drawn."""
@@ -41,12 +42,8 @@ FIGURES = ("range", "max", "rms", "mean_abs")
 REFERENCE, POLYLINE, FITTED = "#0072b2", "#d55e00", "#009e73"
 """Blue for the fine contour and red for the medium one, as in the paper; its curve is green here."""
 
-DRAWN_RAYS = 1440
-CURVE_TOLERANCE_MM = 1e-4
-"""Curves are drawn as polylines this near to them."""
 ENLARGED_MM = (30.0, 15.0)
 """Half the sides of the piece enlarged."""
-WIDTH_PX = 960.0
 
 
 def measure(effort: Effort, note: Note) -> tuple[dict[str, Any], list[Markup]]:
@@ -74,11 +71,9 @@ def measure(effort: Effort, note: Note) -> tuple[dict[str, Any], list[Markup]]:
             }
         )
         if not pictures:
-            layer = len(heights) // 2
-            curves = fits[FITS[0][0]].block(layer, layer + 1)
-            pictures = _pictures(
-                sliced.block(layer, layer + 1), curves, reference.block(layer, layer + 1), name
-            )
+            middle = (len(heights) // 2, len(heights) // 2 + 1)
+            curves = fits[FITS[0][0]].block(*middle)
+            pictures = _pictures(reference.block(*middle), sliced.block(*middle), curves, name)
     record = {"medium_mm": MEDIUM_MM, "fine_mm": FINE_MM, "models": rows, "paper": published_record()}
     return record, pictures
 
@@ -102,7 +97,7 @@ def figures(errors: pd.DataFrame) -> dict[str, dict[str, float]]:
     for kind, weight in zip(KINDS, ("polar_rings", "rings"), strict=True):
         table = errors[errors[f"{kind}_rms_mm"].notna()]
         weights = table[weight].to_numpy(float)
-        if not len(table):
+        if table.empty:
             found[kind] = dict.fromkeys(("low_mm", "high_mm", "rms_mm", "mean_abs_mm"), float("nan"))
             continue
         found[kind] = {
@@ -126,17 +121,17 @@ def _fitted(before: pd.DataFrame, curves: Curves, reference: Layers) -> dict[str
 # -- pictures of one layer -------------------------------------------------------------------------
 
 
-def _pictures(sliced: Layers, curves: Curves, reference: Layers, name: str) -> list[Markup]:
-    sampled = curves.sample_tolerance(CURVE_TOLERANCE_MM)
-    rings = [_outer(stack) for stack in (reference, sliced, sampled)]
+def _pictures(reference: Layers, sliced: Layers, curves: Curves, name: str) -> list[Markup]:
+    """Contours about the place of the greatest polar error, and the polar errors, of the largest outer ring."""
+    stacks = (reference, sliced, curves.sample_tolerance(1e-4))
+    rings = [stack.ring(int(np.argmax(stack.ring_areas))) for stack in stacks]
     centre = 0.5 * (rings[0].min(axis=0) + rings[0].max(axis=0))
-    theta = (np.arange(DRAWN_RAYS) + 0.5) * (2.0 * np.pi / DRAWN_RAYS)
+    theta = rays_rad()
     exact, polyline, fitted = (polar_radius(ring, centre, theta) for ring in rings)
-    degrees = np.degrees(theta)
     chart = line_chart(
         [
-            Series("sliced polyline less fine contour", degrees, polyline - exact),
-            Series("fitted curve less fine contour", degrees, fitted - exact),
+            Series("sliced polyline less fine contour", np.degrees(theta), polyline - exact),
+            Series("fitted curve less fine contour", np.degrees(theta), fitted - exact),
         ],
         "direction from the centre of the enveloping rectangle, degrees",
         "polar error, mm",
@@ -146,23 +141,15 @@ def _pictures(sliced: Layers, curves: Curves, reference: Layers, name: str) -> l
     return [_contours(rings, place, name), chart]
 
 
-def _outer(stack: Layers) -> Floats:
-    """The largest outer ring of a single layer."""
-    return stack.ring(int(np.argmax(stack.ring_areas)))
-
-
 def _contours(rings: Sequence[Floats], place: Floats, name: str) -> Markup:
-    styles = ((REFERENCE, "", 5.0), (POLYLINE, "", 2.2), (FITTED, "7 4", 2.2))
-    low, high = place - ENLARGED_MM, place + ENLARGED_MM
-    canvas = Canvas((float(low[0]), float(low[1]), float(high[0]), float(high[1])), WIDTH_PX)
-    for ring, (colour, dashes, width) in zip(rings, styles, strict=True):
+    key = (
+        ("contour of the fine mesh", REFERENCE, ""),
+        ("contour of the medium mesh, its points", POLYLINE, ""),
+        ("curve fitted to it", FITTED, "7 4"),
+    )
+    canvas = Canvas.of(np.stack([place - ENLARGED_MM, place + ENLARGED_MM]), 960.0)
+    for ring, (_, colour, dashes), width in zip(rings, key, (5.0, 2.2, 2.2), strict=True):
         closed = shapely.LineString(np.concatenate([ring, ring[:1]]))
         canvas.lines(closed, stroke=colour, stroke_width=width, stroke_dasharray=dashes or None)
     canvas.dots(rings[1], 8.0, POLYLINE)
-    names = ("contour of the fine mesh", "contour of the medium mesh, its points", "curve fitted to it")
-    return join(
-        [
-            canvas.svg(f"contours of {name}, enlarged"),
-            legend([(n, colour, dashes) for n, (colour, dashes, _) in zip(names, styles, strict=True)]),
-        ]
-    )
+    return join([canvas.svg(f"contours of {name}, enlarged"), legend(key)])

@@ -1,7 +1,9 @@
-"""What the paper says: its values with their places, and the arithmetic that follows from them."""
+"""What the paper says, with the arithmetic that follows from it, and how much of its work is done again."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import NamedTuple
 
 LAYER_HEIGHT_MM, PIXEL_MM = 0.2, 0.1
@@ -54,8 +56,6 @@ FIT_ERROR = ErrorRange(-0.0810, 0.0955)
 def reduction(before: float, after: float) -> float:
     """How much smaller a figure became, as a fraction of 1.
 
-    Examples
-    --------
     >>> reduction(0.2, 0.05)
     0.75
     """
@@ -65,8 +65,6 @@ def reduction(before: float, after: float) -> float:
 def published_reductions() -> dict[str, float]:
     """Reductions that the paper's two ranges give, by what is compared.
 
-    Examples
-    --------
     >>> {name: round(100 * value, 1) for name, value in published_reductions().items()}
     {'range': 45.9, 'max': 55.1, 'low_end': 61.9, 'high_end': 16.0}
     """
@@ -81,9 +79,37 @@ def published_reductions() -> dict[str, float]:
 def tolerances_by_size() -> tuple[float, ...]:
     """Tolerances in the order of the file sizes: from coarse to fine, 0.4 and 0.8 changed over.
 
-    Examples
-    --------
     >>> tolerances_by_size()[:4]
     (1.0, 0.8, 0.4, 0.08)
     """
     return tuple(sorted(TOLERANCES_MM, reverse=True))
+
+
+# -- how much is done again ------------------------------------------------------------------------
+
+Note = Callable[[str], None]
+"""Callback for progress, with one line of text."""
+
+
+@dataclass(frozen=True)
+class Effort:
+    """Counts that decide how long the command takes: the finest tolerance that is sliced, every how manieth layer is
+    timed, layers on which the paper's own method is timed, and layers of each model on which the fit is measured."""
+
+    name: str
+    finest_mm: float
+    layer_step: int
+    literal_layers: int
+    polar_layers: int
+
+    @property
+    def tolerances_mm(self) -> tuple[float, ...]:
+        """Tolerances to be sliced, from coarse to fine."""
+        return tuple(t for t in tolerances_by_size() if t >= self.finest_mm)
+
+
+QUICK = Effort("quick", finest_mm=0.04, layer_step=8, literal_layers=6, polar_layers=24)
+"""About a minute on two cores: the sizes up to some 40,000 facets."""
+
+FULL = Effort("full", finest_mm=0.001, layer_step=1, literal_layers=24, polar_layers=200)
+"""All eleven sizes and all 4488 layers."""

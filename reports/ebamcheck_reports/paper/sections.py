@@ -6,22 +6,23 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from ebamcheck_reports.charts import Series
-from ebamcheck_reports.figures import number, percent
+from ebamcheck_reports.charts import Series, log_chart
 from ebamcheck_reports.markup import (
     Markup,
-    cell,
     element,
     facts,
     figure,
+    figure_percent,
+    figures_of,
     join,
+    number,
     paragraph,
+    percent,
     picture,
     section,
     table,
 )
 from ebamcheck_reports.paper import published
-from ebamcheck_reports.paper.log_chart import log_chart
 from ebamcheck_reports.paper.timing import REPEAT_UNDER_S
 
 Record = Mapping[str, Any]
@@ -45,18 +46,16 @@ def timing(title: str, record: Record) -> Markup:
         "facets",
         "seconds for all layers",
     )
-    layers = sizes[0]["layers"]
+    caption = "Both axes are logarithmic. The red dot is the one time that the paper gives in figures."
     return section(
         "timing",
         title,
-        f"One part, {record['summary']}, tessellated at the paper's tolerances and cut into {layers} layers of 0.2 mm. Times are of "
+        f"One part, {record['summary']}, tessellated at the paper's tolerances and cut into {sizes[0]['layers']} layers of 0.2 mm. Times are of "
         "preparing the mesh in memory and slicing it, without reading the file.",
-        picture(
-            chart, "Both axes are logarithmic. The red dot is the one time that the paper gives in figures."
-        ),
+        picture(chart, caption),
         _times(names, sizes),
-        _how_timed(record, sizes),
-        _differences(record),
+        *_how_timed(record, sizes[-1]),
+        *_differences(given),
     )
 
 
@@ -64,80 +63,76 @@ def _times(names: Sequence[str], sizes: Sequence[Record]) -> Markup:
     columns = ("tolerance, mm", "facets", "MB", *(f"{n}, s" for n in names))
     rows = []
     for size in sizes:
+        megabytes = figure(size["size_mb"], text=f"{size['size_mb']:.2f}")
         times = [_time(size["times"][name]) for name in names]
-        rows.append([figure(size["tolerance_mm"]), figure(size["facets"]), figure(size["size_mb"], text=f"{size['size_mb']:.2f}"), *times])  # fmt: skip
+        rows.append([figure(size["tolerance_mm"]), figure(size["facets"]), megabytes, *times])
     return table(columns, rows, numbers=columns)
 
 
-def _time(found: Record) -> Markup:
+def _time(found: Record) -> Markup | str:
+    total_s = found["total_s"]
     if found["status"] != "done":
-        return join([found["status"]])
-    return figure(
-        found["total_s"],
-        text=f"{found['total_s']:,.3g}" if found["total_s"] < 1000.0 else f"{found['total_s']:,.0f}",
-    )
+        return str(found["status"])
+    return figure(total_s, text=f"{total_s:,.3g}" if total_s < 1000.0 else f"{total_s:,.0f}")
 
 
-def _how_timed(record: Record, sizes: Sequence[Record]) -> Markup:
+def _how_timed(record: Record, last: Record) -> list[Markup]:
     """Say how many layers each time rests on, and on what it ran."""
-    last = sizes[-1]
     rows = []
     for name, device in record["devices"].items():
         found = last["times"][name]
-        if found["status"] != "done":
-            rows.append([name, device, join([found["status"], ": ", found["why"]]), "", ""])
-            continue
-        scaled = f"{found['layers']} of {last['layers']} layers"
-        scaled += ", scaled to all" if found["layers"] < last["layers"] else ", nothing scaled"
-        rows.append([name, device, scaled, figure(found["prepare_s"], "s"), figure(found["slice_s"], "s")])
-    return join(
-        [
-            element("h3", f"How the times of the largest file ({last['facets']} facets) were taken"),
-            table(
-                ("method", "runs on", "measured", "preparing", "slicing what was measured"),
-                rows,
-                numbers=("preparing", "slicing what was measured"),
-            ),
-            paragraph(
-                "“stencil, literal” is the paper's method: for each layer all facets above it are drawn, at 0.1 mm a pixel. It is always measured on "
-                "a sample of layers, evenly spread. One run each after a warm-up, the better of two where it took "
-                f"less than {REPEAT_UNDER_S:g} s."
-            ),
-        ]
-    )
+        measured, figures = f"{found['status']}: {found['why']}", ("", "")
+        if found["status"] == "done":
+            scaled = "scaled to all" if found["layers"] < last["layers"] else "nothing scaled"
+            measured = f"{found['layers']} of {last['layers']} layers, {scaled}"
+            figures = (figure(found["prepare_s"], "s"), figure(found["slice_s"], "s"))
+        rows.append((name, device, measured, *figures))
+    columns = ("method", "runs on", "measured", "preparing", "slicing what was measured")
+    return [
+        element("h3", f"How the times of the largest file ({last['facets']} facets) were taken"),
+        table(columns, rows, numbers=columns[3:]),
+        paragraph(
+            "“stencil, literal” is the paper's method: for each layer all facets above it are drawn, at 0.1 mm a pixel. It is always measured on "
+            "a sample of layers, evenly spread. One run each after a warm-up, the better of two where it took "
+            f"less than {REPEAT_UNDER_S:g} s."
+        ),
+    ]
 
 
-def _differences(record: Record) -> Markup:
-    given = record["paper"]
+def _differences(given: Record) -> list[Markup]:
     tolerances = ", ".join(f"{t:g}" for t in given["tolerances_mm"])
+    seconds, in_text = figure(given["seconds"], "s"), figure(given["seconds_in_text"], "s")
+    low, high = (figure(given["sizes_mb"][k], "MB") for k in (0, -1))
     items = (
-        join(
-            [
-                "The paper's ", figure(given["seconds"], "s"), " (abstract; ", figure(given["seconds_in_text"], "s"), " in section 5.1) are for ",
-                figure(given["facets"]), " facets and ", figure(given["layers"]), f" layers on an {given['device']}.",
-            ]
+        (
+            *(
+                "The paper's ",
+                seconds,
+                " (abstract; ",
+                in_text,
+                " in section 5.1) are for ",
+                figure(given["facets"]),
+            ),
+            *(" facets and ", figure(given["layers"]), f" layers on an {given['device']}."),
         ),
-        "That part is not published; this one has the same layers and about the same file sizes, but another section.",
-        join(
-            [
-                f"Its tolerances are printed as {tolerances} mm for files of ", figure(given["sizes_mb"][0], "MB"), " to ",
-                figure(given["sizes_mb"][-1], "MB"),
-                ": 0.4 and 0.8 stand in swapped places, since the sizes rise all the way. Here 0.8 comes before 0.4.",
-            ]
+        (
+            "That part is not published; this one has the same layers and about the same file sizes, but another section.",
         ),
-        "Whether the paper's time holds the reading of the file, or the contours, is not said.",
-    )  # fmt: skip
-    return join(
-        [element("h3", "Why the times are not comparable"), element("ul", *(element("li", i) for i in items))]
+        (
+            *(f"Its tolerances are printed as {tolerances} mm for files of ", low, " to ", high),
+            ": 0.4 and 0.8 stand in swapped places, since the sizes rise all the way. Here 0.8 comes before 0.4.",
+        ),
+        ("Whether the paper's time holds the reading of the file, or the contours, is not said.",),
     )
+    head = element("h3", "Why the times are not comparable")
+    return [head, element("ul", *(element("li", *item) for item in items))]
 
 
 # -- Figures 3 to 8 --------------------------------------------------------------------------------
 
 
-def bitmap(title: str, record: Record, pictures: Sequence[Markup]) -> Markup:
+def bitmap(title: str, found: Record, pictures: Sequence[Markup]) -> Markup:
     """Image and contours of one layer."""
-    found = record["bitmap"]
     what = (
         "One layer drawn by the paper's stencil method at its pixel (0.1 mm), and the contours that marching squares finds in the image. "
         "Good is a contour within the declared bound of the exact section."
@@ -145,44 +140,40 @@ def bitmap(title: str, record: Record, pictures: Sequence[Markup]) -> Markup:
     if found["status"] != "done":
         why = paragraph(f"The image could not be drawn: {found['why']}", class_="note warn")
         return section("bitmap", title, what, why)
-    return section(
-        "bitmap",
-        title,
-        what,
-        facts(
-            [
-                ("layer", _layer(found)),
-                ("image", join([figure(found["width_px"]), " × ", figure(found["height_px"]), " pixels"])),
-                ("black pixels", figure(found["black_px"])),
-                ("area of the black pixels", figure(found["black_area_mm2"], "mm²")),
-                ("area within the contours", figure(found["contour_area_mm2"], "mm²")),
-                ("exact area of the mesh's section", figure(found["exact_area_mm2"], "mm²")),
-                ("contours", figure(found["rings"])),
-                ("points of contours / exact section", join([figure(found["points"]), " / ", figure(found["exact_points"])])),
-                ("depth of the difference", figure(found["depth_mm"], "mm")),
-                ("declared bound", figure(found["bound_mm"], "mm")),
-            ]
-        ),
-        picture(
-            element("div", *pictures, class_="beside"),
-            "Left: the binary image, black where the ray of the pixel is in the part (Figure 3), with its contours in orange (Figure 5). "
-            "Right: its leftmost place enlarged, pixel centres as dots and the contour between them (Figure 4).",
-        ),
-    )  # fmt: skip
+    image = join([figure(found["width_px"]), " × ", figure(found["height_px"]), " pixels"])
+    points = join([figure(found["points"]), " / ", figure(found["exact_points"])])
+    areas = (
+        ("black pixels", "black_px", ""),
+        ("area of the black pixels", "black_area_mm2", "mm²"),
+        ("area within the contours", "contour_area_mm2", "mm²"),
+        ("exact area of the mesh's section", "exact_area_mm2", "mm²"),
+        ("contours", "rings", ""),
+    )
+    errors = (("depth of the difference", "depth_mm", "mm"), ("declared bound", "bound_mm", "mm"))
+    told = [_layer(found), ("image", image), *figures_of(found, areas)]
+    told += [("points of contours / exact section", points), *figures_of(found, errors)]
+    caption = (
+        "Left: the binary image, black where the ray of the pixel is in the part (Figure 3), with its contours in orange (Figure 5). "
+        "Right: its leftmost place enlarged, pixel centres as dots and the contour between them (Figure 4)."
+    )
+    drawn = picture(element("div", *pictures, class_="beside"), caption)
+    return section("bitmap", title, what, facts(told), drawn)
 
 
 def corners(title: str, record: Record, pictures: Sequence[Markup]) -> Markup:
     """Parts of the contours of the layer shown, and of the largest one where that is another."""
-    layers = record["corners"]["layers"]
-    shown = [
-        join(
-            [
-                _parts(found),
-                picture(svg, f"Parts of layer {found['layer']}. A closed curve without a split is one part."),
-            ]
-        )
-        for found, svg in zip(layers, pictures[1:], strict=True)
-    ]
+    counts = (
+        ("curve parts", "curve_parts", ""),
+        ("straight parts", "straight_parts", ""),
+        ("places where two parts meet", "splits", ""),
+        ("points of the contours", "points", ""),
+        ("blocks of NC program", "blocks", ""),
+        ("greatest distance of curve and contour", "deviation_mm", "mm"),
+    )
+    shown = []
+    for found, svg in zip(record["layers"], pictures[1:], strict=True):
+        caption = f"Parts of layer {found['layer']}. A closed curve without a split is one part."
+        shown += [facts([_layer(found), *figures_of(found, counts)]), picture(svg, caption)]
     return section(
         "corners",
         title,
@@ -196,49 +187,38 @@ def corners(title: str, record: Record, pictures: Sequence[Markup]) -> Markup:
     )
 
 
-def _parts(found: Record) -> Markup:
-    return facts(
-        [
-            ("layer", _layer(found)),
-            ("curve parts", figure(found["curve_parts"])),
-            ("straight parts", figure(found["straight_parts"])),
-            ("places where two parts meet", figure(found["splits"])),
-            ("points of the contours", figure(found["points"])),
-            ("blocks of NC program", figure(found["blocks"])),
-            ("greatest distance of curve and contour", figure(found["deviation_mm"], "mm")),
-        ]
-    )
-
-
-def partition(title: str, record: Record, pictures: Sequence[Markup]) -> Markup:
+def partition(title: str, found: Record, pictures: Sequence[Markup]) -> Markup:
     """Hexagons of the largest layer."""
-    found = record["partition"]
     case = {
         "odd": "odd: as many hexagons along L1",
         "even": "even: one more, so that n is odd",
         "none": "no solid that can be divided",
     }[found["case"]]
-    count = join([figure(found["n"]), " × ", figure(found["rows"])])
+    sides = (
+        ("short side L1", "L1_mm", "mm"),
+        ("long side L2", "L2_mm", "mm"),
+        ("direction of L1", "angle_deg", "°"),
+        ("side d (planned from area and bead)", "d_mm", "mm"),
+    )
+    counts = (
+        ("hexagons that hold metal, slivers merged", "hexagons", ""),
+        ("islands, thin walls included", "islands", ""),
+    )
+    told = [
+        _layer(found),
+        *figures_of(found, sides),
+        ("round(L1 / d) + 1", join([figure(found["rounded"]), ", ", case])),
+        ("n × rows laid over the rectangle", join([figure(found["n"]), " × ", figure(found["rows"])])),
+        *figures_of(found, counts),
+        ("order", f"{found['order']}: nearest to any processed centroid (section 4.2)"),
+        ("covered by beads", figure_percent(found["covered_fraction"])),
+    ]
     return section(
         "partition",
         title,
         "The layer of the greatest area, divided by the paper's rule: enclosing rectangle among ten rotations (equation 11), n hexagons of "
         "side d along its short side L1, √3 d apart, and rows of them along L2.",
-        facts(
-            [
-                ("layer", _layer(found)),
-                ("short side L1", figure(found["L1_mm"], "mm")),
-                ("long side L2", figure(found["L2_mm"], "mm")),
-                ("direction of L1", figure(found["angle_deg"], "°")),
-                ("side d (planned from area and bead)", figure(found["d_mm"], "mm")),
-                ("round(L1 / d) + 1", join([figure(found["rounded"]), ", ", case])),
-                ("n × rows laid over the rectangle", count),
-                ("hexagons that hold metal, slivers merged", figure(found["hexagons"])),
-                ("islands, thin walls included", figure(found["islands"])),
-                ("order", f"{found['order']}: nearest to any processed centroid (section 4.2)"),
-                ("covered by beads", figure(found["covered_fraction"], text=percent(found["covered_fraction"]))),
-            ]
-        ),
+        facts(told),
         *pictures[:1],
         picture(pictures[1], "Islands in the colour and number of their order, from a random (seeded) first one."),
         paragraph(
@@ -249,8 +229,8 @@ def partition(title: str, record: Record, pictures: Sequence[Markup]) -> Markup:
     )  # fmt: skip
 
 
-def _layer(found: Record) -> Markup:
-    return join([figure(found["layer"]), ", z = ", figure(found["height_mm"], "mm")])
+def _layer(found: Record) -> tuple[str, Markup]:
+    return "layer", join([figure(found["layer"]), ", z = ", figure(found["height_mm"], "mm")])
 
 
 # -- Figures 10 and 11 -----------------------------------------------------------------------------
@@ -258,41 +238,41 @@ def _layer(found: Record) -> Markup:
 
 def polar(title: str, record: Record, pictures: Sequence[Markup]) -> Markup:
     """Error ranges and reductions: the paper's, and those of each model."""
+    captions = (
+        "As Figure 10: the place of the greatest polar error on the middle layer of the first model, enlarged.",
+        "As Figure 11: polar errors of the outer contour of that layer, fit as written in the paper.",
+    )
     return section(
         "polar",
         title,
         "How far the contour of a medium mesh lies from that of a fine one, measured along rays from the centre of the enveloping rectangle, "
         "and how far the fitted curve does. Good is a fit with less error than the polyline that it was made from.",
         element("h3", "The paper's own figures"),
-        _published(record["paper"]),
+        *_published(record["paper"]),
         element("h3", f"Here: tolerance {record['medium_mm']:g} mm against {record['fine_mm']:g} mm"),
         _errors(record["models"]),
         element("h3", "Reduction of the error by the fit, each figure named"),
-        _reductions(record),
+        *_reductions(record),
         _finding(record["models"]),
-        *([picture(pictures[0], "As Figure 10: the place of the greatest polar error on the middle layer of the first model, enlarged."),
-           picture(pictures[1], "As Figure 11: polar errors of the outer contour of that layer, fit as written in the paper.")] if pictures else []),
-    )  # fmt: skip
+        *map(picture, pictures, captions),
+    )
 
 
-def _published(given: Record) -> Markup:
+def _published(given: Record) -> list[Markup]:
+    stages = (("sliced polyline", "polyline_mm", 0), ("fitted curve", "fit_mm", 1))
     rows = [
-        ["sliced polyline", *map(figure, given["polyline_mm"]), figure(given["range_mm"][0]), figure(given["max_mm"][0])],
-        ["fitted curve", *map(figure, given["fit_mm"]), figure(given["range_mm"][1]), figure(given["max_mm"][1])],
-        ["reduction", *(_percent(given["reductions"][key]) for key in ("low_end", "high_end", "range", "max"))],
-    ]  # fmt: skip
+        [name, *map(figure, (*given[key], given["range_mm"][k], given["max_mm"][k]))]
+        for name, key, k in stages
+    ]
+    reductions = [_percent(given["reductions"][key]) for key in ("low_end", "high_end", "range", "max")]
     columns = ("", "least, mm", "greatest, mm", "range, mm", "maximum, mm")
     claimed = given["claimed_reduction"]
-    return join(
-        [
-            table(columns, rows, class_="narrow", numbers=columns),
-            paragraph(
-                "The paper calls the reduction ", figure(claimed, text=f"{100 * claimed:.1f} %"), " without saying of what. Its ranges do not "
-                "by themselves give that: none of these four does, and it publishes neither RMS nor mean.",
-                class_="note warn",
-            ),
-        ]
+    note = paragraph(
+        "The paper calls the reduction ", figure(claimed, text=f"{100 * claimed:.1f} %"), " without saying of what. Its ranges do not "
+        "by themselves give that: none of these four does, and it publishes neither RMS nor mean.",
+        class_="note warn",
     )  # fmt: skip
+    return [table(columns, [*rows, ["reduction", *reductions]], class_="narrow", numbers=columns), note]
 
 
 def _errors(models: Sequence[Record]) -> Markup:
@@ -300,38 +280,33 @@ def _errors(models: Sequence[Record]) -> Markup:
                "polar mean abs., mm", "normal RMS, mm")  # fmt: skip
     rows = []
     for row in models:
+        first: tuple[Any, ...] = (row["model"], figure(row["facets"]))
         stages = [("sliced polyline", row["polyline"]), *((f"fit {n}", f) for n, f in row["fits"].items())]
-        for k, (stage, found) in enumerate(stages):
-            polar_error = [
-                figure(found["polar"][key]) for key in ("low_mm", "high_mm", "rms_mm", "mean_abs_mm")
-            ]
-            first = (row["model"], figure(row["facets"])) if k == 0 else ("", "")
-            cells = [*first, stage, *polar_error, figure(found["normal"]["rms_mm"])]
-            rows.append(element("tr", *(cell(value) for value in cells)))
+        for stage, found in stages:
+            errors = [figure(found["polar"][f"{key}_mm"]) for key in ("low", "high", "rms", "mean_abs")]
+            rows.append((*first, stage, *errors, figure(found["normal"]["rms_mm"])))
+            first = ("", "")
     return table(columns, rows, numbers=(columns[1], *columns[3:]))
 
 
-def _reductions(record: Record) -> Markup:
-    columns = ("", "fit", "error", *(name for _, name in REDUCTIONS))
-    given = record["paper"]["reductions"]
-    rows: list[list[Any]] = [
-        ["the paper's bunny", "as written in the paper", "polar", _percent(given["range"]), _percent(given["max"]), figure(None, text="not given"), figure(None, text="not given")]
-    ]  # fmt: skip
-    for row in record["models"]:
-        for name, found in row["fits"].items():
-            for kind, values in found["reductions"].items():
-                rows.append([row["model"], name, kind, *(_percent(values[key]) for key, _ in REDUCTIONS)])
+def _reductions(record: Record) -> list[Markup]:
+    columns, given = ("", "fit", "error", *(name for _, name in REDUCTIONS)), record["paper"]["reductions"]
+    unknown = figure(None, text="not given")
+    known = (_percent(given["range"]), _percent(given["max"]), unknown, unknown)
+    rows = [("the paper's bunny", "as written in the paper", "polar", *known)]
+    rows += [
+        (row["model"], name, kind, *(_percent(values[key]) for key, _ in REDUCTIONS))
+        for row in record["models"]
+        for name, found in row["fits"].items()
+        for kind, values in found["reductions"].items()
+    ]
     rings = ", ".join(f"{r['polar_rings']} of {r['layers']} layers of {r['model']}" for r in record["models"])
-    return join(
-        [
-            table(columns, rows, numbers=columns[3:]),
-            paragraph(
-                f"Negative: the fit has more error. The polar error is defined where every ray meets a contour once: {rings} (outer rings). "
-                "The normal distance is defined everywhere, holes included.",
-                class_="small",
-            ),
-        ]
+    note = paragraph(
+        f"Negative: the fit has more error. The polar error is defined where every ray meets a contour once: {rings} (outer rings). "
+        "The normal distance is defined everywhere, holes included.",
+        class_="small",
     )
+    return [table(columns, rows, numbers=columns[3:]), note]
 
 
 def _finding(models: Sequence[Record]) -> Markup:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,12 +13,8 @@ from ebamcheck.kernels import Floats
 from ebamcheck.layers.heights import layer_heights
 from ebamcheck.mesh.part import Part
 from ebamcheck.plugins import registry
-from ebamcheck.plugins.registry import models
 from ebamcheck_reports.paper import published
-from ebamcheck_reports.paper.effort import Effort, Note
-
-LADDER = "ladder"
-"""The model that stands in for the paper's part: the same layers and about the same file sizes."""
+from ebamcheck_reports.paper.published import Effort, Note
 
 STENCIL = "stencil"
 LITERAL = "stencil, literal"
@@ -26,7 +22,6 @@ LITERAL = "stencil, literal"
 
 STL_HEADER_BYTES, STL_FACET_BYTES = 84, 50
 """Binary STL: header and count, and each facet."""
-
 
 REPEAT_UNDER_S = 2.0
 """Times shorter than this are measured twice and the lesser is kept: other work on the machine easily spoils them."""
@@ -51,12 +46,14 @@ def methods() -> list[Method]:
 
 
 def measure(effort: Effort, note: Note) -> dict[str, Any]:
-    """Tessellate the stand-in at each tolerance and time every available backend on it."""
-    model = models([LADDER])[LADDER]
+    """Tessellate the stand-in (the same layers and about the same file sizes) at each tolerance, and time every available backend."""
+    model = registry.models(["ladder"])["ladder"]
     tried = methods()
     sizes = []
     # One run without the clock, so that no time includes the compilation of a kernel or the start of a driver.
-    _warm(model.tessellate(published.TOLERANCES_MM[0]), tried, effort)
+    coarse = model.tessellate(published.TOLERANCES_MM[0])
+    for method in tried:
+        timed(coarse, layer_heights(coarse, published.LAYER_HEIGHT_MM), method, effort)
     for tolerance_mm in effort.tolerances_mm:
         part = model.tessellate(tolerance_mm)
         heights = layer_heights(part, published.LAYER_HEIGHT_MM)
@@ -97,22 +94,17 @@ def layers_cut(heights: Floats, method: Method, effort: Effort) -> Floats:
 
 
 def timed(part: Part, heights: Floats, method: Method, effort: Effort) -> dict[str, Any]:
-    """Time one method on one part; a time of fewer layers is scaled to all of them, preparing apart.
-
-    Returns
-    -------
-    ``status`` ("done", "unavailable" or "failed"), ``why``, ``prepare_s``, ``slice_s``, ``layers`` cut, and
-    ``total_s``: ``prepare_s`` and ``slice_s`` times all layers over those cut.
-    """
+    """Time one method on one part; a time of fewer layers (``total_s``) is scaled to all of them, preparing apart."""
     chosen = layers_cut(heights, method, effort)
+    untimed = {"prepare_s": None, "slice_s": None, "layers": 0, "total_s": None}
     if not registry.probe(method.backend).available:
-        return _untimed("unavailable", registry.probe(method.backend).why)
+        return {"status": "unavailable", "why": registry.probe(method.backend).why, **untimed}
     try:
         prepare_s, slice_s = _clocked(part, chosen, method)
         if prepare_s + slice_s < REPEAT_UNDER_S:
             prepare_s, slice_s = min((prepare_s, slice_s), _clocked(part, chosen, method), key=sum)
     except EbamcheckError as error:
-        return _untimed("failed", str(error))
+        return {"status": "failed", "why": str(error), **untimed}
     return {
         "status": "done",
         "why": "",
@@ -131,16 +123,6 @@ def _clocked(part: Part, heights: Floats, method: Method) -> tuple[float, float]
         ready = time.perf_counter()
         prepared.slice(heights)
         return ready - start, time.perf_counter() - ready
-
-
-def _untimed(status: str, why: str) -> dict[str, Any]:
-    return {"status": status, "why": why, "prepare_s": None, "slice_s": None, "layers": 0, "total_s": None}
-
-
-def _warm(part: Part, tried: Sequence[Method], effort: Effort) -> None:
-    heights = layer_heights(part, published.LAYER_HEIGHT_MM)
-    for method in tried:
-        timed(part, heights, method, effort)  # a failure is reported later, when the method is timed
 
 
 def _device(method: Method) -> str:

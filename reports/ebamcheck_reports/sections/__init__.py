@@ -1,1 +1,1 @@
-"""Sections of the HTML report, one module each: ``render(run) -> Markup``."""
+"""Sections of the HTML report: each is a function of the run that returns markup."""

@@ -1,41 +1,41 @@
-"""Fit: contours become curves, and the error of doing so."""
+"""Fit: contours become curves, and the error of doing so; with the picture of a layer's contours and curves."""
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+import shapely
 
 from ebamcheck.curves import ARC, LINE, SPLINE, Curves, polar_radius
 from ebamcheck.kernels import Floats
 from ebamcheck.layers.stack import Layers
 from ebamcheck.pipeline.fit import largest_move_mm
-from ebamcheck_reports import curve_picture
+from ebamcheck_reports.canvas import Box, Canvas, around, outline
 from ebamcheck_reports.charts import Series, line_chart
-from ebamcheck_reports.figures import number, percent
 from ebamcheck_reports.markup import (
+    DOTS,
     Markup,
     element,
     facts,
     figure,
+    figure_percent,
     join,
+    legend,
+    number,
     paragraph,
+    percent,
     picture,
     section,
     table,
 )
 from ebamcheck_reports.run_data import RunData, layer_name
 
-RAYS = 1440
-"""Directions of the polar chart: four per degree."""
-
 CURVE_TOLERANCE_MM = 1e-5
 """Chord error of the polylines as which curves are measured."""
-
-CORNER_ANGLE_DEG = 140.0
-"""Angle of a corner if the settings name none (paper, section 3.2)."""
 
 WHAT = (
     "A contour is a chain of short straight segments, chords of the part's surface. Between its corners it is replaced by a smooth curve "
@@ -49,17 +49,9 @@ def render(run: RunData) -> Markup:
     curves, layers = run.curves, run.primary
     if curves is None or layers is None:
         return section("fit", "Fit", WHAT, paragraph("There was no contour to fit.", class_="note bad"))
-    return section(
-        "fit",
-        "Fit",
-        WHAT,
-        _counts(run, curves),
-        _methods(run),
-        _deviation(run),
-        *_pictures(run, layers, curves),
-        element("h3", "Against a reference"),
-        *_reference(run, layers, curves),
-    )
+    body = (_counts(run, curves), _methods(run), _deviation(run), *_pictures(run, layers, curves))
+    reference = (element("h3", "Against a reference"), *_reference(run, layers, curves))
+    return section("fit", "Fit", WHAT, *body, *reference)
 
 
 def _counts(run: RunData, curves: Curves) -> Markup:
@@ -82,20 +74,15 @@ def _counts(run: RunData, curves: Curves) -> Markup:
 
 def _methods(run: RunData) -> Markup:
     """Every method beside the chosen one."""
-    fits = run.part_of("fit").get("methods", {})
-    gains = run.part_of("reference").get("methods", {})
-    kinds = [
-        (f"{kind}_{what}", f"{kind} {what}, less by")
-        for kind in ("polar", "normal")
-        for what in ("rms", "max")
-    ]
-    columns = ("method", "NC blocks", "from its contour", *(title for _, title in kinds if gains))
+    fits, gains = run.part_of("fit").get("methods", {}), run.part_of("reference").get("methods", {})
+    kinds = [f"{kind} {what}" for kind in ("polar", "normal") for what in ("rms", "max") if gains]
+    columns = ("method", "NC blocks", "from its contour", *(f"{kind}, less by" for kind in kinds))
     rows = [
         (
             name + (" (chosen)" if name == run.part_of("fit")["method"] else ""),
             figure(fit["blocks"]),
             figure(max(number(fit["max_points_mm"]), number(fit["max_bulge_mm"])), "mm"),
-            *(figure(gains[name].get(key), text=percent(gains[name].get(key))) for key, _ in kinds if gains),
+            *(figure_percent(gains[name].get(kind.replace(" ", "_"))) for kind in kinds),
         )
         for name, fit in fits.items()
     ]
@@ -108,32 +95,25 @@ def _deviation(run: RunData) -> Markup:
         Series("contour points from the curve", fit["layer"], fit["points_mm"]),
         Series("bulge of the curve", fit["layer"], fit["bulge_mm"]),
     ]
-    chart = line_chart(series, "layer", "deviation, mm", from_zero=True)
-    return element(
-        "figure",
-        chart,
-        element(
-            "figcaption",
-            "Deviation of every layer. Beside the limit of the settings, the mesh about each ring says how far its curve may lie from it: "
-            "allowed_mm in fit.csv. The gate counts what no evidence speaks for.",
-        ),
+    return picture(
+        line_chart(series, "layer", "deviation, mm", from_zero=True),
+        "Deviation of every layer. Beside the limit of the settings, the mesh about each ring says how far its curve may lie from it: "
+        "allowed_mm in fit.csv. The gate counts what no evidence speaks for.",
     )
 
 
 def _pictures(run: RunData, layers: Layers, curves: Curves) -> list[Markup]:
-    fit = run.table("fit.csv")
-    worst = int(fit[["points_mm", "bulge_mm"]].max(axis=1).to_numpy().argmax())
+    worst = int(run.table("fit.csv")[["points_mm", "bulge_mm"]].max(axis=1).to_numpy().argmax())
     reasons = {run.middle_layer: "middle layer"}
     reasons[worst] = f"{reasons[worst]}, largest deviation" if worst in reasons else "largest deviation"
+    angle = run.setting("curves", "corner_angle_deg", 140.0)  # without one, that of the paper (section 3.2)
     parts: list[Markup] = []
     for layer, why in reasons.items():
-        if layer is None or not len(layers.rings_of(layer)):
-            continue
-        name = layer_name(layer, float(layers.heights[layer]))
-        angle = run.setting("curves", "corner_angle_deg", CORNER_ANGLE_DEG)
-        pictures, enlarged = curve_picture.draw(layers, curves, layer, angle, f"fit of {name}")
-        parts.append(picture(element("div", pictures, class_="beside"), f"{name} ({why}). {enlarged}"))
-    return [element("div", curve_picture.key(), *parts, class_="together")]
+        if layer is not None and len(layers.rings_of(layer)):
+            name = layer_name(layer, float(layers.heights[layer]))
+            pictures, enlarged = _drawn(layers, curves, layer, angle, f"fit of {name}")
+            parts.append(picture(element("div", pictures, class_="beside"), f"{name} ({why}). {enlarged}"))
+    return [element("div", legend(LEGEND), *parts, class_="together")]
 
 
 # -- against the finer tessellation ----------------------------------------------------------------
@@ -149,65 +129,37 @@ def _reference(run: RunData, layers: Layers, curves: Curves) -> list[Markup]:
                 " measures how far contours and curves lie from the true shape.",
             )
         ]
-    return [
+    source, unmatched = record["part"]["source"].replace("\\", "/"), int(record["unmatched_rings"])
+    parts = [
         paragraph(
-            f"Reference: {record['part']['source'].replace(chr(92), '/').rsplit('/', 1)[-1]}, {record['part']['facets']} facets. "
+            f"Reference: {source.rsplit('/', 1)[-1]}, {record['part']['facets']} facets. "
             "Errors are positive where there is metal too much. The polar error is the difference of the radii about the centre of the "
             "contour's enveloping rectangle; it is defined for outer contours that every ray meets once. The normal error is the "
             "distance to the nearest point of the reference and is defined for every contour."
-        ),
-        *_unmatched(record),
-        _errors(record),
-        *_polar_chart(run, layers, curves),
-        *_error_charts(run),
+        )
     ]
-
-
-def _unmatched(record: Mapping[str, Any]) -> list[Markup]:
-    count = int(record["unmatched_rings"])
-    if not count:
-        return []
-    text = f"{count} contours of the part and the reference have no partner: is it the same part in the same place?"
-    return [paragraph(text, class_="note warn")]
+    if unmatched:
+        text = f"{unmatched} contours of the part and the reference have no partner: is it the same part in the same place?"
+        parts.append(paragraph(text, class_="note warn"))
+    return [*parts, _errors(record), *_polar_chart(run, layers, curves), *_error_charts(run)]
 
 
 def _errors(record: Mapping[str, Any]) -> Markup:
-    rows = []
+    rows: list[tuple[Any, ...]] = []
+    stages = (record["contour"], record["curve"])
     for kind in ("polar", "normal"):
-        before, after = record["contour"], record["curve"]
-        ends, rms = (f"{kind}_min_mm", f"{kind}_max_mm"), (f"{kind}_rms_mm",)
+        ends = [[number(stage[f"{kind}_{end}_mm"]) for end in ("min", "max")] for stage in stages]
+        ranges = [Markup(" … ".join(figure(value, "mm") for value in pair)) for pair in ends]
+        greatest = [figure(max(map(abs, pair)), "mm") for pair in ends]
+        rms = [figure(stage[f"{kind}_rms_mm"], "mm") for stage in stages]
+        less = [figure_percent(record["reduction"].get(f"{kind}_{key}")) for key in ("range", "max", "rms")]
         rows += [
-            (
-                f"{kind} error, range (least to greatest)",
-                _range(before, ends),
-                _range(after, ends),
-                f"{kind}_range",
-            ),
-            (
-                f"{kind} error, greatest magnitude",
-                _magnitude(before, kind),
-                _magnitude(after, kind),
-                f"{kind}_max",
-            ),
-            (f"{kind} error, root mean square", _range(before, rms), _range(after, rms), f"{kind}_rms"),
+            (f"{kind} error, range (least to greatest)", *ranges, less[0]),
+            (f"{kind} error, greatest magnitude", *greatest, less[1]),
+            (f"{kind} error, root mean square", *rms, less[2]),
         ]
     columns = ("error against the reference", "contour", "curve", "reduced by")
-    cells = [(name, old, new, _reduction(record, key)) for name, old, new, key in rows]
-    return table(columns, cells, class_="reference", numbers=columns[1:])
-
-
-def _range(errors: Mapping[str, Any], keys: tuple[str, ...]) -> Markup:
-    return Markup(" … ".join(figure(errors[k], "mm") for k in keys))
-
-
-def _magnitude(errors: Mapping[str, Any], kind: str) -> Markup:
-    ends = [abs(number(errors[f"{kind}_{end}_mm"])) for end in ("min", "max")]
-    return figure(max(ends), "mm")
-
-
-def _reduction(record: Mapping[str, Any], key: str) -> Markup:
-    value = record["reduction"].get(key)
-    return figure(value, text=percent(value))
+    return table(columns, rows, class_="reference", numbers=columns[1:])
 
 
 def _polar_chart(run: RunData, layers: Layers, curves: Curves) -> list[Markup]:
@@ -215,29 +167,26 @@ def _polar_chart(run: RunData, layers: Layers, curves: Curves) -> list[Markup]:
     truth, layer = run.reference, run.middle_layer
     if truth is None or layer is None or len(truth) != len(layers):
         return []
-    theta = rays_rad()
-    errors = polar_errors(layers, curves, truth, layer, theta)
-    return [] if errors is None else [polar_chart(layers, layer, theta, errors)]
+    errors = polar_errors(layers, curves, truth, layer, rays_rad())
+    return [] if errors is None else [polar_chart(layers, layer, errors)]
 
 
 def rays_rad() -> Floats:
-    """Directions (n,) in which polar errors are drawn."""
-    return np.asarray((np.arange(RAYS) + 0.5) * (2.0 * math.pi / RAYS), np.float64)
+    """Directions (n,) in which polar errors are drawn, four per degree."""
+    return np.asarray((np.arange(1440) + 0.5) * (2.0 * math.pi / 1440), np.float64)
 
 
-def polar_chart(layers: Layers, layer: int, theta_rad: Floats, errors: tuple[Floats, Floats]) -> Markup:
+def polar_chart(layers: Layers, layer: int, errors: tuple[Floats, Floats]) -> Markup:
     """Polar error of the largest outer contour of a layer over the angle (paper, Figure 11)."""
-    degrees = np.degrees(theta_rad)
-    chart = line_chart(
-        [Series("contour", degrees, errors[0]), Series("curve", degrees, errors[1])],
-        "angle, degrees",
-        "polar error, mm",
-    )
+    series = [
+        Series(of, np.degrees(rays_rad()), error)
+        for of, error in zip(("contour", "curve"), errors, strict=True)
+    ]
     caption = (
         f"Polar error of the largest outer contour of {layer_name(layer, float(layers.heights[layer]))} before and after fitting; "
         "nearer to zero is better. Gaps are angles at which a ray meets a contour more than once."
     )
-    return element("figure", chart, element("figcaption", caption))
+    return picture(line_chart(series, "angle, degrees", "polar error, mm"), caption)
 
 
 def polar_errors(
@@ -249,13 +198,11 @@ def polar_errors(
         return None
     ring = truth.ring(theirs)
     centre = 0.5 * (ring.min(axis=0) + ring.max(axis=0))
-    true = polar_radius(ring, centre, theta_rad)
     sampled = curves.block(layer, layer + 1).sampled_rings(CURVE_TOLERANCE_MM)
-    place = ours - int(layers.layer_starts[layer])
-    curve = sampled.points[sampled.ring_starts[place] : sampled.ring_starts[place + 1]]
-    return polar_radius(layers.ring(ours), centre, theta_rad) - true, polar_radius(
-        curve, centre, theta_rad
-    ) - true
+    at = ours - int(layers.layer_starts[layer])
+    curve = sampled.points[sampled.ring_starts[at] : sampled.ring_starts[at + 1]]
+    true, before, after = (polar_radius(r, centre, theta_rad) for r in (ring, layers.ring(ours), curve))
+    return before - true, after - true
 
 
 def _largest(layers: Layers, layer: int) -> int | None:
@@ -265,16 +212,91 @@ def _largest(layers: Layers, layer: int) -> int | None:
 
 def _error_charts(run: RunData) -> list[Markup]:
     errors = run.table("reference.csv")
-    if not len(errors):
+    if errors.empty:
         return []
-    series = []
-    for of in ("contour", "curve"):
-        rows = errors[errors["of"] == of]
-        series += [
-            Series(f"{of}, {end}", rows["layer"], rows[f"normal_{column}_mm"])
-            for end, column in (("greatest", "max"), ("least", "min"))
-        ]
-    caption = "Greatest and least normal error of every layer, before and after fitting."
-    return [
-        element("figure", line_chart(series, "layer", "normal error, mm"), element("figcaption", caption))
+    series = [
+        Series(f"{of}, {end}", rows["layer"], rows[f"normal_{column}_mm"])
+        for of in ("contour", "curve")
+        for rows in [errors[errors["of"] == of]]
+        for end, column in (("greatest", "max"), ("least", "min"))
     ]
+    caption = "Greatest and least normal error of every layer, before and after fitting."
+    return [picture(line_chart(series, "layer", "normal error, mm"), caption)]
+
+
+# -- picture of a layer ----------------------------------------------------------------------------
+
+CONTOUR, CURVE, CORNER, JOINT = "#d55e00", "#0072b2", "#000000", "#cc79a7"
+INSET_PX = 300.0
+
+SAMPLE_TOLERANCE_MM = 1e-3
+"""Chord error of the polylines on which the worst place is searched; the figures of the run are exact."""
+
+LEGEND = (
+    ("contour (input)", CONTOUR, "6 4"),
+    ("fitted curve (output)", CURVE, ""),
+    ("corner, kept sharp", CORNER, DOTS),
+    ("joint of two pieces", JOINT, DOTS),
+)
+
+
+def _drawn(
+    layers: Layers, curves: Curves, layer: int, corner_angle_deg: float, title: str
+) -> tuple[Markup, str]:
+    """Pictures of a layer and of the place at which the curve leaves the contour most, and a sentence about that place."""
+    joints = _joints(curves, layer, corner_angle_deg)
+    spans = curves.block(layer, layer + 1).bezier_spans().points
+
+    def canvas(box: Box, width_px: float) -> Canvas:
+        made = Canvas(box, width_px)
+        for ring in (outline(layers, r) for r in layers.rings_of(layer)):
+            if len(ring) > 1:
+                made.lines(shapely.LineString(ring), stroke=CONTOUR, stroke_width=2.5, stroke_dasharray="6 4")
+            if width_px == INSET_PX:
+                made.dots(ring, 5.0, CONTOUR)
+        made.beziers(spans, stroke=CURVE, stroke_width=1.6)
+        made.dots(joints[1], 5.0, JOINT)
+        made.dots(joints[0], 7.0, CORNER)
+        return made
+
+    whole = canvas(layers.block(layer, layer + 1).bounds(), 720.0).svg(title)
+    deviation, x, y = _worst_place(layers, curves, layer)
+    if deviation <= SAMPLE_TOLERANCE_MM:
+        return whole, ""
+    # The deviation takes a sixteenth of the enlarged piece, which has at least 0.1 mm.
+    inset = canvas(around(x, y, max(8.0 * deviation, 0.05)), INSET_PX).svg(f"{title}, enlarged")
+    told = f"Enlarged: the place where curve and contour differ most, about {deviation:.2g} mm at ({x:.2f}, {y:.2f}) mm."
+    return join([whole, inset]), told
+
+
+def _joints(curves: Curves, layer: int, corner_angle_deg: float) -> tuple[Floats, Floats]:
+    """Joints of pieces, (n, 2) each: those at corners (with an angle below the limit), and smooth ones."""
+    sharp: list[Floats] = []
+    smooth: list[Floats] = []
+    for ring in curves.rings_of(layer):
+        pieces = [curves.piece(p).control for p in curves.pieces_of(ring)]
+        pairs = list(itertools.pairwise(pieces))
+        if curves.closed[ring] and pieces:
+            pairs.append((pieces[-1], pieces[0]))
+        for before, after in pairs:
+            a, b = before[-1] - before[-2], after[1] - after[0]
+            turn = math.degrees(abs(math.atan2(a[0] * b[1] - a[1] * b[0], float(a @ b))))
+            (sharp if 180.0 - turn < corner_angle_deg else smooth).append(after[0])
+    return np.array(sharp).reshape(-1, 2), np.array(smooth).reshape(-1, 2)
+
+
+def _worst_place(layers: Layers, curves: Curves, layer: int) -> tuple[float, float, float]:
+    """Approximate greatest distance of a layer's curves from its contours, and its place, for drawing."""
+    sampled = curves.block(layer, layer + 1).sampled_rings(SAMPLE_TOLERANCE_MM)
+    worst = (0.0, math.nan, math.nan)
+    for n, r in enumerate(layers.rings_of(layer)):
+        ring = outline(layers, r)
+        curve = sampled.points[sampled.ring_starts[n] : sampled.ring_starts[n + 1]]
+        if len(ring) < 2 or not len(curve):
+            continue
+        # A curve bulges most between the points of the contour, so the curve's points are measured.
+        distance = np.asarray(shapely.distance(shapely.LineString(ring), shapely.points(curve)))
+        k = int(np.argmax(distance))
+        if distance[k] > worst[0]:
+            worst = (float(distance[k]), *curve[k].tolist())
+    return worst

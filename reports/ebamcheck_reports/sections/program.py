@@ -1,4 +1,4 @@
-"""Program: files, totals, checks, excerpts, and the path as read back from the text."""
+"""Program: files, totals, checks, preheating, excerpts, and the path as read back from the text."""
 
 from __future__ import annotations
 
@@ -7,28 +7,32 @@ from itertools import islice
 from typing import Any
 
 from ebamcheck.errors import InputError
+from ebamcheck.nc.files import layer_of_preheat
 from ebamcheck.program import read_program
-from ebamcheck_reports import check_places, program_picture
-from ebamcheck_reports.figures import counted, duration, percent
+from ebamcheck_reports import program_pictures
 from ebamcheck_reports.markup import (
     Markup,
     collapsed,
+    counted,
+    duration,
     element,
     facts,
     figure,
+    figure_duration,
+    figure_percent,
+    figures_of,
     join,
+    legend,
     mark,
     paragraph,
     picture,
+    row,
     section,
     table,
 )
 from ebamcheck_reports.run_data import RunData, layer_name
-from ebamcheck_reports.sections import preheating
 
-MOST_FILES = 12
-EXCERPT_LINES = 40
-SHORT_HASH = 16
+MOST_FILES, EXCERPT_LINES, SHORT_HASH = 12, 40, 16
 
 WHAT = (
     "The path is written as NC text for the machine's control. An independent reader then reads the text back and checks the syntax, the "
@@ -41,21 +45,21 @@ def render(run: RunData) -> Markup:
     record = run.part_of("program")
     if not record:
         return section("program", "Program", WHAT, paragraph("No program was written.", class_="note bad"))
+    good = bool(record["validated"])
+    line = element("code", "; VALIDATED" if good else "; NOT VALIDATED")
+    status = join(["Every file carries the line ", line, "."])
+    witness = element("b", record["witness"])
     return section(
         "program",
         "Program",
         WHAT,
-        _status(record),
+        element("div", status, class_=f"note {'good' if good else 'bad'}"),
         _totals(record),
         element("h3", "Checks"),
-        paragraph(
-            "The section check compares the program with the contours of ",
-            element("b", record["witness"]),
-            ".",
-        ),
+        paragraph("The section check compares the program with the contours of ", witness, "."),
         _checks(run),
-        *check_places.render(run),
-        *preheating.render(run),
+        *program_pictures.failed_checks(run),
+        *_preheating(run),
         *_kinematics(run),
         element("h3", "Path of one layer as read back from the text"),
         *_picture(run),
@@ -63,6 +67,88 @@ def render(run: RunData) -> Markup:
         *_files(record),
         *_excerpts(run, record),
     )
+
+
+def _totals(record: Mapping[str, Any]) -> Markup:
+    total = record["totals"]
+    pause_s = total.get("pause_s", 0.0)  # a run of an earlier version has none
+    lengths = (
+        ("motions", "motions", ""),
+        ("contour path", "contour_mm", "mm"),
+        ("hatch path", "hatch_mm", "mm"),
+        ("moves with beam off", "travel_mm", "mm"),
+        ("wire", "wire_mm", "mm"),
+        ("mass of the wire", "wire_kg", "kg"),
+    )
+    return facts(
+        [
+            ("time at constant feed", figure_duration(total["deposit_s"] + total["travel_s"] + pause_s)),
+            ("of that with beam on", figure_duration(total["deposit_s"])),
+            ("of that in rapid moves", figure_duration(total["travel_s"])),
+            ("of that waiting", figure_duration(pause_s)),
+            *figures_of(total, lengths),
+        ]
+    )
+
+
+def _checks(run: RunData) -> Markup:
+    rows = []
+    for c in sorted(run.checks, key=lambda c: bool(c["passed"])):
+        result, where = element("td", mark(c["passed"]), class_="result"), c["where"]
+        cells = (
+            element("b", c["name"]),
+            figure(c["value"]),
+            figure(c["limit"]),
+            c["unit"],
+            result,
+            c["text"],
+        )
+        rows.append(
+            row((*cells, element("code", where) if where else ""), class_=None if c["passed"] else "bad")
+        )
+    columns = ("check", "value", "limit", "unit", "result", "in words", "worst or first place")
+    return table(columns, rows, class_="checks", numbers=("value", "limit"))
+
+
+def _preheating(run: RunData) -> list[Markup]:
+    """Scans before layers, the temperature that they reach by the text, and the way of the beam; nothing without preheating."""
+    settings, record = run.config.preheat, run.part_of("program")
+    if settings.when == "off":
+        return []
+    names = [str(file["name"]) for file in record["files"]]
+    layers = [layer_of_preheat(run.config.machine.program_name, name.rpartition(".")[0]) for name in names]
+    scans = [(layer, name) for layer, name in zip(layers, names, strict=True) if layer is not None]
+    texts = {check["name"]: str(check["text"]) for check in record["checks"]}
+    said = {
+        "preheat count": "passes",
+        "preheat temperature": "temperature",
+        "preheat evenness": "evenness",
+        "preheat melting": "under the beam",
+    }
+    before = ", ".join(str(layer + 1) for layer, _ in scans) or "none"
+    beam = f"{settings.current_ma:g} mA at {run.config.process.voltage_kv:g} kV, {settings.spot_mm:g} mm wide, {settings.speed_mm_s:g} mm/s"
+    lines = f"{settings.pattern}, {settings.spacing_mm:g} mm apart; then a wait of {settings.soak_s:g} s"
+    told = facts(
+        [
+            ("scans", f"{counted(len(scans), 'subprogram')}, before layer {before}"),
+            ("beam", beam),
+            ("lines", lines),
+            *((name, texts[key]) for key, name in said.items() if key in texts),
+        ]
+    )
+    return [element("h3", "Preheating"), told, *(_preheating_picture(run, scans[0][1]) if scans else [])]
+
+
+def _preheating_picture(run: RunData, file: str) -> list[Markup]:
+    try:
+        program = read_program(run.folder.program_folder / file, run.config)
+    except InputError as error:
+        return [paragraph(f"{file} cannot be read back: {error}", class_="note bad")]
+    svg = program_pictures.draw(program, f"way of the beam in {file}")
+    if svg is None:
+        return []
+    caption = f"{file}: the beam preheats, as read back from the text."
+    return [element("div", picture(svg, caption), class_="together")]
 
 
 def _kinematics(run: RunData) -> list[Markup]:
@@ -78,7 +164,7 @@ def _kinematics(run: RunData) -> list[Markup]:
             duration(path["time_s"]),
             duration(path["constant_feed_s"]),
             figure(path["dips"]),
-            figure(path["least_share"], text=percent(path["least_share"])),
+            figure_percent(path["least_share"]),
             figure(path["excess_mm3_per_m"], "mm3/m"),
         )
         for name, path in paths.items()
@@ -87,103 +173,38 @@ def _kinematics(run: RunData) -> list[Markup]:
         "Axes cannot turn a corner at full feed. Where the feed dips under the share of the settings while wire and beam go on, the bead "
         "grows (the paper's Figure 6). Starts and ends of beads are left out."
     )
-    return [
-        element("h3", "Feed along the contours"),
-        paragraph(text),
-        table(columns, rows, numbers=columns[1:]),
-    ]
+    head = element("h3", "Feed along the contours")
+    return [head, paragraph(text), table(columns, rows, numbers=columns[1:])]
 
 
-def _status(record: Mapping[str, Any]) -> Markup:
-    good = bool(record["validated"])
-    line = "; VALIDATED" if good else "; NOT VALIDATED"
-    said = join(["Every file carries the line ", element("code", line), "."])
-    return element("div", said, class_=f"note {'good' if good else 'bad'}")
-
-
-def _totals(record: Mapping[str, Any]) -> Markup:
-    total = record["totals"]
-    pause_s = total.get("pause_s", 0.0)  # a run of an earlier version has none
-    time = total["deposit_s"] + total["travel_s"] + pause_s
-    return facts(
-        [
-            (
-                "time at constant feed",
-                figure(time, text=duration(time)),
-            ),
-            ("of that with beam on", figure(total["deposit_s"], text=duration(total["deposit_s"]))),
-            ("of that in rapid moves", figure(total["travel_s"], text=duration(total["travel_s"]))),
-            ("of that waiting", figure(pause_s, text=duration(pause_s))),
-            ("motions", figure(total["motions"])),
-            ("contour path", figure(total["contour_mm"], "mm")),
-            ("hatch path", figure(total["hatch_mm"], "mm")),
-            ("moves with beam off", figure(total["travel_mm"], "mm")),
-            ("wire", figure(total["wire_mm"], "mm")),
-            ("mass of the wire", figure(total["wire_kg"], "kg")),
-        ]
-    )
-
-
-def _checks(run: RunData) -> Markup:
-    rows = [
-        element(
-            "tr",
-            element("td", element("b", c["name"])),
-            element("td", figure(c["value"]), class_="number"),
-            element("td", figure(c["limit"]), class_="number"),
-            element("td", c["unit"]),
-            element("td", mark(c["passed"]), class_="result"),
-            element("td", c["text"]),
-            element("td", element("code", c["where"]) if c["where"] else ""),
-            class_=None if c["passed"] else "bad",
-        )
-        for c in sorted(run.checks, key=lambda c: bool(c["passed"]))
-    ]
-    return table(
-        ("check", "value", "limit", "unit", "result", "in words", "worst or first place"),
-        rows,
-        class_="checks",
-        numbers=("value", "limit"),
-    )
+# -- files and their text --------------------------------------------------------------------------
 
 
 def _files(record: Mapping[str, Any]) -> list[Markup]:
     files = record["files"]
     blocks = sum(int(f["blocks"]) for f in files)
-    rows = [
-        (
-            element("code", f["name"]),
-            figure(f["blocks"]),
-            element("code", f["sha256"][:SHORT_HASH], title=f["sha256"]),
-        )
-        for f in files[:MOST_FILES]
-    ]
+    rows = []
+    for f in files[:MOST_FILES]:
+        code = element("code", f["sha256"][:SHORT_HASH], title=f["sha256"])
+        rows.append((element("code", f["name"]), figure(f["blocks"]), code))
+    columns = ("file", "blocks", f"SHA-256 (first {SHORT_HASH} of 64)")
+    counts = f"{counted(len(files), 'file')} with {blocks} numbered blocks, in the folder "
     parts = [
-        paragraph(
-            f"{counted(len(files), 'file')} with {blocks} numbered blocks, in the folder ",
-            element("code", "program/"),
-            ".",
-        ),
-        table(
-            ("file", "blocks", f"SHA-256 (first {SHORT_HASH} of 64)"),
-            rows,
-            class_="narrow",
-            numbers=("blocks",),
-        ),
+        paragraph(counts, element("code", "program/"), "."),
+        table(columns, rows, class_="narrow", numbers=("blocks",)),
     ]
     if len(files) > MOST_FILES:
-        parts.append(
-            paragraph(f"… and {len(files) - MOST_FILES} more; all of them with their hashes are in run.json.")
-        )
+        more = len(files) - MOST_FILES
+        parts.append(paragraph(f"… and {more} more; all of them with their hashes are in run.json."))
     return parts
 
 
 def _subprogram(run: RunData) -> tuple[int, str] | None:
     """Middle layer and the file that holds its path."""
-    table_, layer = run.table("program.csv"), run.middle_layer
-    if layer is None or "file" not in table_ or layer >= len(table_):
+    program, layer = run.table("program.csv"), run.middle_layer
+    if layer is None or "file" not in program or layer >= len(program):
         return None
-    return layer, str(table_["file"].iloc[layer])
+    return layer, str(program["file"].iloc[layer])
 
 
 def _picture(run: RunData) -> list[Markup]:
@@ -197,11 +218,12 @@ def _picture(run: RunData) -> list[Markup]:
         return [paragraph(f"{file} cannot be read back: {error}", class_="note bad")]
     # A subprogram holds one layer; a program of one file holds them all.
     alone = file != run.part_of("program")["files"][0]["name"]
-    svg = program_picture.draw(program, f"path of {file}", None if alone else layer)
+    svg = program_pictures.draw(program, f"path of {file}", None if alone else layer)
     if svg is None:
         return [paragraph(f"{file} commands no motion in the plane.")]
     name = layer_name(layer, float(run.layer_table["height_mm"].iloc[layer]))
-    return [element("div", program_picture.key(), picture(svg, f"{file} ({name})."), class_="together")]
+    drawn = picture(svg, f"{file} ({name}).")
+    return [element("div", legend(program_pictures.LEGEND), drawn, class_="together")]
 
 
 def _excerpts(run: RunData, record: Mapping[str, Any]) -> list[Markup]:

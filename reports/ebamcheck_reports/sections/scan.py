@@ -1,22 +1,37 @@
-"""Partition and order: how the section is filled, and in which order."""
+"""Partition and order: how the section is filled, in which order, how warm it gets, and the picture of a layer's islands."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+import pandas as pd
+import shapely
 
+from ebamcheck.kernels import Floats
+from ebamcheck.layers.stack import Layers
 from ebamcheck.printable import numbered
 from ebamcheck.scan import ScanPlan
-from ebamcheck_reports import scan_picture
+from ebamcheck.showing.colours import ramp
+from ebamcheck_reports.canvas import Canvas, outline
 from ebamcheck_reports.charts import Series, line_chart
-from ebamcheck_reports.figures import duration, number, percent
-from ebamcheck_reports.markup import Markup, element, facts, figure, join, paragraph, picture, section
-from ebamcheck_reports.run_data import RunData, layer_name
-
-BEAD_WIDTH_MM = 6.0
-"""Width at which beads are drawn if the settings name none."""
+from ebamcheck_reports.markup import (
+    Markup,
+    element,
+    facts,
+    figure,
+    figure_duration,
+    figure_percent,
+    figures_of,
+    join,
+    legend,
+    number,
+    paragraph,
+    percent,
+    picture,
+    section,
+)
+from ebamcheck_reports.run_data import BEAD_WIDTH_MM, RunData, layer_name
 
 AMBIENT_K, SOLIDUS_K, BOILING_K = 293.15, 1877.0, 3533.0
 """Temperature of the chamber, solidus and boiling point if the settings name none."""
@@ -31,12 +46,11 @@ def render(run: RunData) -> Markup:
     """Metrics, pictures of layers, and the time of each."""
     plan = run.plan
     if plan is None:
-        return section(
-            "scan", "Partition and order", WHAT, paragraph("There was no contour to fill.", class_="note bad")
-        )
-    return section(
-        "scan", "Partition and order", WHAT, _metrics(run, plan), element("div", scan_picture.key(), *_pictures(run, plan), class_="together"), _coverage(run, plan), _times(run), *_heat(run, plan)
-    )  # fmt: skip
+        none = paragraph("There was no contour to fill.", class_="note bad")
+        return section("scan", "Partition and order", WHAT, none)
+    pictures = element("div", legend(LEGEND), *_pictures(run, plan), class_="together")
+    body = (_metrics(run, plan), pictures, _coverage(run, plan), _times(run), *_heat(run, plan))
+    return section("scan", "Partition and order", WHAT, *body)
 
 
 def _metrics(run: RunData, plan: ScanPlan) -> Markup:
@@ -45,46 +59,41 @@ def _metrics(run: RunData, plan: ScanPlan) -> Markup:
     covered = solid["covered_fraction"]
     kinds = {str(k): int((plan.island_kind == k).sum()) for k in np.unique(plan.island_kind)}
     mean = float(np.average(covered, weights=solid["area_mm2"])) if len(solid) else float("nan")
-    sides = metrics["side_mm"].dropna()
+    islands = (figure(record["islands"]), " (", ", ".join(f"{n} {k}" for k, n in kinds.items()), ")")
+    lengths = (
+        ("hatch lines", "hatch_mm", "mm"),
+        ("contours", "contour_mm", "mm"),
+        ("turns between lines", "turn_mm", "mm"),
+        ("beads of thin walls", "wall_mm", "mm"),
+        ("beads over gaps", "gap_mm", "mm"),
+        ("moves with the beam off", "travel_mm", "mm"),
+        ("starts of the wire", "starts", ""),
+    )
     return facts(
         [
             ("order of islands", f"{record['order']} (seed {record['seed']})"),
-            (
-                "islands",
-                join([figure(record["islands"]), " (", ", ".join(f"{n} {k}" for k, n in kinds.items()), ")"]),
-            ),
-            ("side of the hexagons", _extent(sides.min(), sides.max()) if len(sides) else "no hexagons"),
-            ("covered by beads, all layers", figure(mean, text=percent(mean))),
-            ("covered by beads, least layer", figure(covered.min(), text=percent(covered.min()))),
-            ("hatch lines", figure(record["hatch_mm"], "mm")),
-            *_further_lengths(record),
-            ("moves with the beam off", figure(record["travel_mm"], "mm")),
-            ("starts of the wire", figure(record["starts"])),
-            ("time of beads, moves and waits", figure(record["time_s"], text=duration(record["time_s"]))),
+            ("islands", join(islands)),
+            ("side of the hexagons", _sides(metrics["side_mm"].dropna())),
+            ("covered by beads, all layers", figure_percent(mean)),
+            ("covered by beads, least layer", figure_percent(covered.min())),
+            *figures_of(record, (given for given in lengths if given[1] in record)),
+            ("time of beads, moves and waits", figure_duration(record["time_s"])),
             ("least time between neighbours", _least(metrics["interval_min_s"])),
         ]
     )
 
 
-def _further_lengths(record: Mapping[str, Any]) -> list[tuple[str, Markup]]:
-    """Lengths of the other beads; runs of earlier versions have none of them."""
-    names = {
-        "contour_mm": "contours",
-        "turn_mm": "turns between lines",
-        "wall_mm": "beads of thin walls",
-        "gap_mm": "beads over gaps",
-    }
-    return [(text, figure(record[name], "mm")) for name, text in names.items() if name in record]
-
-
-def _extent(low: float, high: float) -> Markup:
+def _sides(sides: pd.Series[float]) -> Markup | str:
+    if sides.empty:
+        return "no hexagons"
+    low, high = sides.min(), sides.max()
     return figure(low, "mm") if low == high else join([figure(low), " to ", figure(high, "mm")])
 
 
-def _least(column: object) -> Markup:
-    known = np.asarray(column, np.float64)
+def _least(column: pd.Series[float]) -> Markup | str:
+    known = column.to_numpy(np.float64)
     known = known[np.isfinite(known)]
-    return figure(known.min(), text=duration(known.min())) if known.size else join(["no neighbours"])
+    return figure_duration(known.min()) if known.size else "no neighbours"
 
 
 def _pictures(run: RunData, plan: ScanPlan) -> list[Markup]:
@@ -95,138 +104,30 @@ def _pictures(run: RunData, plan: ScanPlan) -> list[Markup]:
     if solid.size:
         worst = int(solid[plan.metrics["covered_fraction"].to_numpy()[solid].argmin()])
         chosen[worst] = f"{chosen[worst]}, least covered" if worst in chosen else "least covered layer"
-        busiest = int(plan.metrics["islands"].to_numpy().argmax())
         if len(chosen) < 2:
+            busiest = int(plan.metrics["islands"].to_numpy().argmax())
             chosen.setdefault(busiest, "layer of the most islands")
-    return [_picture(run, plan, layer, why) for layer, why in chosen.items()]
+    bead_mm, made = run.setting("process", "bead_width_mm", BEAD_WIDTH_MM), []
+    for layer, why in chosen.items():
+        name, found = layer_name(layer, float(plan.heights[layer])), plan.metrics.iloc[layer]
+        caption = (
+            f"{name} ({why}): {int(found['islands'])} islands, {percent(found['covered_fraction'])} covered, "
+            f"{int(found['starts'])} starts of the wire. Numbers and colours give the order."
+        )
+        made.append(picture(draw(plan, run.primary, layer, bead_mm, f"partition of {name}"), caption))
+    return made
 
 
-def _picture(run: RunData, plan: ScanPlan, layer: int, why: str) -> Markup:
-    name = layer_name(layer, float(plan.heights[layer]))
-    row = plan.metrics.iloc[layer]
-    svg = scan_picture.draw(
-        plan,
-        run.primary,
-        layer,
-        run.setting("process", "bead_width_mm", BEAD_WIDTH_MM),
-        f"partition of {name}",
-    )
-    caption = (
-        f"{name} ({why}): {int(row['islands'])} islands, {percent(row['covered_fraction'])} covered, "
-        f"{int(row['starts'])} starts of the wire. Numbers and colours give the order."
-    )
-    return picture(svg, caption)
+# -- over the layers -------------------------------------------------------------------------------
 
 
 def _coverage(run: RunData, plan: ScanPlan) -> Markup:
-    metrics = numbered(plan.metrics)
+    metrics, limit = numbered(plan.metrics), run.gate_limit("coverage")
     solid = np.where(metrics["area_mm2"] > 0, 100.0 * metrics["covered_fraction"], np.nan)
-    limit = run.gate_limit("coverage")
-    chart = line_chart(
-        [Series("covered", metrics["layer"], solid)],
-        "layer",
-        "covered, %",
-        limit=None if limit is None else 100.0 * limit,
-        limit_name="least",
-    )
-    return element(
-        "figure",
-        chart,
-        element("figcaption", "Share of each section that the beads cover; it must stay over the limit."),
-    )
-
-
-def _heat(run: RunData, plan: ScanPlan) -> list[Markup]:
-    """Temperatures of the heat model, waits (dwell) and power of each layer, and their cost, if these were planned."""
-    metrics = numbered(plan.metrics)
-    if "entry_max_k" not in metrics or metrics["entry_max_k"].isna().all():
-        return []
-    ambient = run.setting("process", "ambient_temperature_k", AMBIENT_K)
-    solidus = run.setting("material", "solidus_k", SOLIDUS_K)
-    boiling = run.setting("material", "boiling_k", BOILING_K)
-    limit = run.gate_limit("heat")
-    entry = metrics["entry_max_k"] + ambient
-    lines = {
-        "warmest bead when it is entered": entry,
-        "surface when the layer begins": metrics["enter_k"],
-        "surface when it is done": metrics["leave_k"],
-    }
-    chart = line_chart(
-        [
-            Series(name, metrics["layer"], np.minimum(k, boiling))
-            for name, k in lines.items()
-            if k.notna().any()
-        ],
-        "layer",
-        "temperature, K",
-        limit=solidus if limit is None else limit,
-        limit_name="solidus" if limit is None else "limit of entry",
-    )
-    over = int((np.maximum(entry, metrics["leave_k"].fillna(0.0)) >= boiling).sum())
-    caption = (
-        "Temperatures by the heat model: the balance of the whole part, and what differs across each section. A bead may be "
-        "entered up to the limit; the surface gets warmer while a layer is laid."
-    )
-    if over:
-        caption += (
-            f" {over} layers are over the model's range and drawn at the boiling point: metal would boil."
-        )
-    figures = [element("figure", chart, element("figcaption", caption))]
-    return [*_build_times(run), *figures, *_measures(plan)]
-
-
-def _build_times(run: RunData) -> list[Markup]:
-    """Time of the program beside that without measures and with waits alone."""
-    times = run.part_of("heat").get("build_s", {})
-    named = {
-        "without_measures": "build time without waits and at any power: too hot where the gate would shut",
-        "dwell": "build time with waits at full power",
-        "programmed": "build time as programmed, with power and waits",
-    }
-    rows = [
-        (text, figure(number(times[name]), text=duration(number(times[name]))))
-        for name, text in named.items()
-        if name in times and np.isfinite(number(times[name]))
-    ]
-    return [facts(rows)] if rows else []
-
-
-def _measures(plan: ScanPlan) -> list[Markup]:
-    """Waits and power over the layers."""
-    metrics = numbered(plan.metrics)
-    if "wait_s" not in metrics or metrics["wait_s"].isna().all():
-        return []
-    within = np.zeros(len(metrics))
-    if len(plan.island_wait_s):
-        within += np.bincount(plan.island_layer, plan.island_wait_s, minlength=len(metrics))
-    if len(plan.inner_wait_s):
-        island = plan.further_beads()
-        within += np.bincount(plan.island_layer[island], plan.inner_wait_s[island], minlength=len(metrics))
-    waits = line_chart(
-        [
-            Series("before the layer", metrics["layer"], metrics["wait_s"]),
-            Series("before islands and beads of it", metrics["layer"], within),
-        ],
-        "layer",
-        "wait, s",
-        from_zero=True,
-    )
-    power = line_chart(
-        [Series("power", metrics["layer"], 100.0 * metrics["power_share"])],
-        "layer",
-        "of full power, %",
-        from_zero=True,
-    )
-    return [
-        element(
-            "figure", waits, element("figcaption", "Waits that keep the entry of each bead under the limit.")
-        ),
-        element(
-            "figure",
-            power,
-            element("figcaption", "Power: full on the cold base, less as the part gets warm."),
-        ),
-    ]
+    series = [Series("covered", metrics["layer"], solid)]
+    limit = None if limit is None else 100.0 * limit
+    chart = line_chart(series, "layer", "covered, %", limit=limit, limit_name="least")
+    return picture(chart, "Share of each section that the beads cover; it must stay over the limit.")
 
 
 def _times(run: RunData) -> Markup:
@@ -240,6 +141,131 @@ def _times(run: RunData) -> Markup:
     else:
         series = [Series("hatching and jumps", metrics["layer"], metrics["time_s"])]
     caption = "Time of each layer at constant feed; ramps of the axes come on top."
-    return element(
-        "figure", line_chart(series, "layer", "time, s", from_zero=True), element("figcaption", caption)
+    return picture(line_chart(series, "layer", "time, s", from_zero=True), caption)
+
+
+def _heat(run: RunData, plan: ScanPlan) -> list[Markup]:
+    """Temperatures of the heat model, waits (dwell) and power of each layer, and their cost, if these were planned."""
+    metrics = numbered(plan.metrics)
+    if "entry_max_k" not in metrics or metrics["entry_max_k"].isna().all():
+        return []
+    solidus = run.setting("material", "solidus_k", SOLIDUS_K)
+    boiling = run.setting("material", "boiling_k", BOILING_K)
+    limit = run.gate_limit("heat")
+    entry = metrics["entry_max_k"] + run.setting("process", "ambient_temperature_k", AMBIENT_K)
+    lines = {
+        "warmest bead when it is entered": entry,
+        "surface when the layer begins": metrics["enter_k"],
+        "surface when it is done": metrics["leave_k"],
+    }
+    series = [
+        Series(n, metrics["layer"], np.minimum(k, boiling)) for n, k in lines.items() if k.notna().any()
+    ]
+    given = (solidus, "solidus") if limit is None else (limit, "limit of entry")
+    chart = line_chart(series, "layer", "temperature, K", *given)
+    over = int((np.maximum(entry, metrics["leave_k"].fillna(0.0)) >= boiling).sum())
+    caption = (
+        "Temperatures by the heat model: the balance of the whole part, and what differs across each section. A bead may be "
+        "entered up to the limit; the surface gets warmer while a layer is laid."
     )
+    if over:
+        caption += (
+            f" {over} layers are over the model's range and drawn at the boiling point: metal would boil."
+        )
+    return [*_build_times(run), picture(chart, caption), *_measures(plan, metrics)]
+
+
+def _build_times(run: RunData) -> list[Markup]:
+    """Time of the program beside that without measures and with waits alone."""
+    times = run.part_of("heat").get("build_s", {})
+    named = {
+        "without_measures": "build time without waits and at any power: too hot where the gate would shut",
+        "dwell": "build time with waits at full power",
+        "programmed": "build time as programmed, with power and waits",
+    }
+    known = [name for name in named if np.isfinite(number(times.get(name)))]
+    return [facts((named[name], figure_duration(number(times[name]))) for name in known)] if known else []
+
+
+def _measures(plan: ScanPlan, metrics: pd.DataFrame) -> list[Markup]:
+    """Waits and power over the layers."""
+    if "wait_s" not in metrics or metrics["wait_s"].isna().all():
+        return []
+    within = np.zeros(len(metrics))
+    if len(plan.island_wait_s):
+        within += np.bincount(plan.island_layer, plan.island_wait_s, minlength=len(metrics))
+    if len(plan.inner_wait_s):
+        island = plan.further_beads()
+        within += np.bincount(plan.island_layer[island], plan.inner_wait_s[island], minlength=len(metrics))
+    waits = [
+        Series("before the layer", metrics["layer"], metrics["wait_s"]),
+        Series("before islands and beads of it", metrics["layer"], within),
+    ]
+    power = [Series("power", metrics["layer"], 100.0 * metrics["power_share"])]
+    return [
+        picture(
+            line_chart(waits, "layer", "wait, s", from_zero=True),
+            "Waits that keep the entry of each bead under the limit.",
+        ),
+        picture(
+            line_chart(power, "layer", "of full power, %", from_zero=True),
+            "Power: full on the cold base, less as the part gets warm.",
+        ),
+    ]
+
+
+# -- picture of a layer ----------------------------------------------------------------------------
+
+MOST_NUMBERS, MOST_ARROWS = 150, 600
+"""Most islands that are numbered, and most between which the way is drawn: more would cover the picture."""
+
+BEAD, LINE, WAY, THIN, SECTION = "#0072b2", "#555555", "#d81b60", "#d55e00", "#000000"
+LEGEND = (
+    ("first island", ramp(0.0), ""),
+    ("last island", ramp(1.0), ""),
+    ("way from island to island", WAY, ""),
+    ("hatch line (one bead)", LINE, ""),
+    ("contour of the part", SECTION, ""),
+    ("contour bead: centre line, and its width lightly", BEAD, ""),
+    ("border of a thin wall", THIN, "5 3"),
+)
+
+
+def draw(plan: ScanPlan, section: Layers | None, layer: int, bead_width_mm: float, title: str) -> Markup:
+    """Draw a layer's islands in the colour of their rank, lines, contour beads and order, and the section to be filled."""
+    islands, region = plan.islands_of(layer), plan.contours[layer]
+    outlines = [] if section is None else [outline(section, r) for r in section.rings_of(layer)]
+    canvas = Canvas.of(_corners([region, *plan.islands[islands]], bead_width_mm, outlines), 880.0)
+    bead: dict[str, Any] = {
+        "stroke_width": f"{bead_width_mm * canvas.px_per_mm:.1f}",
+        "stroke_opacity": 0.18,
+        "stroke_linejoin": "round",
+    }
+    canvas.lines(region.boundary, stroke=BEAD, **bead)
+    for rank, island in enumerate(islands.tolist()):
+        border: dict[str, Any] = {"stroke": "#fff", "stroke_width": 1.0, "stroke_dasharray": None}
+        if plan.island_kind[island] == "thin wall":
+            border = {"stroke": THIN, "stroke_width": 1.8, "stroke_dasharray": "5 3"}
+        colour = ramp(rank / max(len(islands) - 1, 1))
+        canvas.lines(plan.islands[island], fill=colour, fill_opacity=0.55, **border)
+    starts, ends = (plan.vectors_of(layer)[[f"x{k}", f"y{k}"]].to_numpy() for k in range(2))
+    canvas.segments(starts, ends, stroke=LINE, stroke_width=0.7)
+    canvas.lines(region.boundary, stroke=BEAD, stroke_width=1.6)
+    for points in outlines:
+        canvas.lines(shapely.LineString(points), stroke=SECTION, stroke_width=1.0)
+    centres = plan.island_centroid[islands]
+    if len(islands) <= MOST_ARROWS:
+        canvas.arrows(centres, WAY)
+    if len(islands) <= MOST_NUMBERS:
+        for rank, (x, y) in enumerate(centres.tolist()):
+            canvas.label(x, y, str(rank + 1))
+    return canvas.svg(title)
+
+
+def _corners(shapes: list[Any], bead_width_mm: float, outlines: list[Floats]) -> Floats:
+    """Corners of the box about beads and section."""
+    pad = 0.5 * bead_width_mm
+    bounds = [
+        np.add(shapely.bounds(s), (-pad, -pad, pad, pad)).reshape(2, 2) for s in shapes if not s.is_empty
+    ]
+    return np.concatenate([*bounds, *outlines] or [np.array([[-0.5, -0.5], [0.5, 0.5]])])
