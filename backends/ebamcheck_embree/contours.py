@@ -1,11 +1,7 @@
-"""Marching squares on the few cells that a contour passes.
+"""Marching squares (the paper, section 3.1) on the few cells that a contour passes, with the measured crossing of each grid edge.
 
-The rows of the grid decide which nodes are inside; where two neighbouring rows differ, the contour crosses the
-grid edge between them. Every cell then has 0, 2 or 4 crossed edges whatever rounding did, so contours close.
-A crossing is one *knot* of a contour: on a row at the border of its ray, on a column where that column's ray has one.
-
-Source: the marching squares of the paper (section 3.1), with the measured crossing of each grid edge instead
-of the interpolated one of its formula 4.
+The rows of the grid decide which nodes are inside; where two neighbouring rows differ, the contour crosses the grid edge between
+them. Every cell then has 0, 2 or 4 crossed edges whatever rounding did, so contours close. A crossing is a *knot* of a contour.
 """
 
 from __future__ import annotations
@@ -16,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ebamcheck.kernels import Bools, Floats, Ints, kernel
-from ebamcheck_embree.grid import Lattice
+from ebamcheck_embree.grid import Grid
 from ebamcheck_embree.scene import Facets, Mesh
 
 # The columns `starts`, `along`, `facet` and `paired` of `ebamcheck_embree.crossings.Borders`
@@ -46,12 +42,9 @@ class ColumnKnots(NamedTuple):
 
 @kernel
 def rings_of_layer(
-    grid: Lattice, rows: RayColumns, columns: RayColumns, mesh: Mesh, z: float, corners: bool
+    grid: Grid, rows: RayColumns, columns: RayColumns, mesh: Mesh, z: float, corners: bool
 ) -> tuple[Floats, Ints]:
-    """Rings of one layer from the borders on its rays: points (N, 2), mm about the part's centre, and ring starts (R + 1,).
-
-    With `corners`, the section's own vertices between the knots are points, too.
-    """
+    """Rings of one layer from the borders on its rays: points (N, 2), mm about the part's centre, and ring starts (R + 1,)."""
     x0, y0, cell, _, row_count = grid
     across = row_knots(grid, rows, columns)
     upwards = column_knots(grid, across, columns)
@@ -69,12 +62,10 @@ def rings_of_layer(
 
 
 @kernel
-def row_knots(grid: Lattice, rows: RayColumns, columns: RayColumns) -> RowKnots:
-    """Crossed edges along rows from the borders of row rays.
+def row_knots(grid: Grid, rows: RayColumns, columns: RayColumns) -> RowKnots:
+    """Crossed edges along rows: those with an odd number of borders of the row's ray.
 
-    An edge with an even number of borders joins nodes of the same side and is not crossed: what lies
-    between is thinner than the cell. The nodes of a row whose ray does not pair are mended: by the columns, and where those
-    fail as the row below.
+    The nodes of a row whose ray does not pair are mended: by the columns, and where those fail as the row below.
     """
     x0, y0, cell, column_count, row_count = grid
     row_starts, row_along, row_facet, row_paired = rows
@@ -127,7 +118,7 @@ def row_knots(grid: Lattice, rows: RayColumns, columns: RayColumns) -> RowKnots:
 
 
 @kernel
-def column_knots(grid: Lattice, rows: RowKnots, columns: RayColumns) -> ColumnKnots:
+def column_knots(grid: Grid, rows: RowKnots, columns: RayColumns) -> ColumnKnots:
     """Crossed edges along columns: where the sides of a row's nodes differ from the next row's."""
     row_starts, row_node = rows.starts, rows.node
     _, y0, cell, _, row_count = grid
@@ -182,10 +173,9 @@ def column_knots(grid: Lattice, rows: RowKnots, columns: RayColumns) -> ColumnKn
 def _middle(
     along: Floats, first: int, past: int, a: int, b: int, low: float, high: float
 ) -> tuple[float, int]:
-    """Place and number of the border of a ray on the grid edge (low, high]; the number is -1 where it has none.
+    """Place and number of the middle border, of `a` to `b - 1`, of a ray on the grid edge (low, high].
 
-    Of several, `a` to `b - 1`, the middle one; else a border of the ray, `first` to `past - 1`, within half an edge
-    beyond an end counts as at that end: float64 put it on the other side. Else the edge's middle.
+    Where there is none, the number is -1, and a border of the ray within half an edge beyond an end counts as at that end.
     """
     if b > a:
         return along[(a + b) // 2], (a + b) // 2
@@ -199,13 +189,10 @@ def _middle(
 
 @kernel
 def links(rows: RowKnots, columns: ColumnKnots, points: Floats) -> tuple[Ints, Ints]:
-    """Knot that follows each knot, material on the left; rows' knots come before columns'; and the cell between.
+    """Knot that follows each knot, material on the left, those of rows before those of columns; and column and row of the cell between.
 
-    The second column, (K, 2), is the cell's column and row, :data:`SADDLE` where four knots meet. There the shorter
-    way is taken between their `points` (K, 2), mm.
-
-    Cells are swept band by band between two rows, from left to right, by three pointers: into the lower row, the
-    upper row and the columns.
+    Where four knots meet, the cell is :data:`SADDLE`, and the shorter way is taken between their `points` (K, 2), mm. Three
+    pointers, into the lower row, the upper row and the columns, sweep the cells of each band.
     """
     row_starts, row_node, col_starts, col_node = rows.starts, rows.node, columns.starts, columns.node
     base = row_node.size
@@ -262,7 +249,7 @@ def links(rows: RowKnots, columns: ColumnKnots, points: Floats) -> tuple[Ints, I
 
 @kernel
 def _chain(
-    grid: Lattice,
+    grid: Grid,
     after: Ints,
     cells: Ints,
     points: Floats,
@@ -271,11 +258,9 @@ def _chain(
     z: float,
     corners: bool,
 ) -> tuple[Floats, Ints]:
-    """Rings along the links; with `corners`, the section's own vertex between two knots of a cell.
+    """Rings along the links; of knots in a row on one facet the first and the last.
 
-    Where the facets of two linked knots share an edge, the contour between the knots turns exactly where
-    the plane cuts that edge; the turn is kept if it lies in the cell. Of knots in a row on one facet only
-    the first and the last are kept: the others lie on the line between.
+    With `corners`, the point where the plane cuts the edge that the facets of two linked knots share is kept, if in the cell.
     """
     x0, y0, size, _, _ = grid
     out_points = np.empty((2 * after.size, 2))

@@ -1,13 +1,8 @@
 """Where in-plane rays cross the contour: decided and located in float64 on the facets that Embree reports.
 
-A plane cuts each facet in a directed segment, material on its left; neighbouring facets compute the point on their common
-edge from the same numbers, so the segments of a closed mesh meet bit for bit. A ray crosses a segment whose ends lie
-on both sides of it, ends on the ray counting as below. So a closed mesh gives closed answers whatever Embree rounds.
-
-The crossings that a ray must have are counted from the segments first: a ray without any is not cast, and one
-that has found all of its crossings is not cast again. Embree reports only the first hit of a ray, so of coincident
-facets (walls of shells that touch or overlap) it reports one; a ray that lacks crossings afterwards is intersected
-with the segments themselves.
+A plane cuts each facet in a directed segment, material on its left; the segments of a closed mesh meet bit for bit. A ray crosses a
+segment whose ends lie on both sides of it, ends on the ray counting as below. The crossings that a ray must have are counted from the
+segments: it is cast until it has them, and where Embree reports one of coincident facets alone, intersected with the segments.
 """
 
 from __future__ import annotations
@@ -59,17 +54,8 @@ def sections_at(mesh: Mesh, z_mm: Floats) -> Sections:
     starts = np.zeros(len(faces) + 1, np.int64)
     for f in range(len(faces)):
         a, b, c = vertices[faces[f, 0], 2], vertices[faces[f, 1], 2], vertices[faces[f, 2], 2]
-        begin = 0
-        for place in (min(a, b, c), max(a, b, c)):
-            low, high = begin, z_mm.size  # the first height that is not below the place
-            while low < high:
-                middle = (low + high) // 2
-                if z_mm[middle] < place:
-                    low = middle + 1
-                else:
-                    high = middle
-            first[f], begin = begin, low
-        starts[f + 1] = starts[f] + begin - first[f]
+        first[f] = np.searchsorted(z_mm, min(a, b, c))
+        starts[f + 1] = starts[f] + np.searchsorted(z_mm, max(a, b, c)) - first[f]
     segments = np.empty((starts[-1], 4))
     for f in range(len(faces)):
         for n in range(starts[f], starts[f + 1]):
@@ -207,18 +193,13 @@ def borders(starts: Ints, along: Floats, sign: Ints, facet: Facets) -> Borders:
         # Where two shells touch, the entry comes first, so that they unite.
         order = np.lexsort((-sign, along, np.repeat(np.arange(starts.size - 1), np.diff(starts))))
         along, sign, facet = along[order], sign[order], facet[order]
-    return Borders(*_borders(starts, along, sign, facet))
+    return _borders(starts, along, sign, facet)
 
 
 @kernel
-def _borders(
-    starts: Ints, along: Floats, sign: Ints, facet: Facets
-) -> tuple[Ints, Floats, Facets, Bools, Bools, Bools]:
-    """Columns of :class:`Borders`, of crossings in their order along each ray.
-
-    A ray whose winding does not end at 0 but that has an even number of crossings met a facet that is turned over; all its
-    crossings are borders then.
-    """
+def _borders(starts: Ints, along: Floats, sign: Ints, facet: Facets) -> Borders:
+    """Borders of crossings in their order along each ray; all are, where a facet is turned over: of an even number whose winding
+    does not end at 0."""
     count = starts.size - 1
     kept_starts = np.zeros(count + 1, np.int64)
     kept_along, kept_facet = np.empty(along.size), np.empty(along.size, np.int32)
@@ -242,4 +223,4 @@ def _borders(
                 kept_along[out], kept_facet[out] = along[k], facet[k]
                 out += 1
         kept_starts[r + 1] = out
-    return kept_starts, kept_along[:out], kept_facet[:out], paired, sound, simple
+    return Borders(kept_starts, kept_along[:out], kept_facet[:out], paired, sound, simple)
