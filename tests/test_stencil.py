@@ -14,7 +14,7 @@ import shapely
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from skimage.measure import find_contours
-from stencil_cuts import cut, same
+from stencil_cuts import as_image, cut, same
 from stencil_parts import box, joined, torus, turned
 
 from ebamcheck.backend import Slicer
@@ -22,7 +22,7 @@ from ebamcheck.errors import BackendMissing
 from ebamcheck.layers.stack import Layers, from_rings
 from ebamcheck.mesh.part import from_arrays
 from ebamcheck_stencil import Stencil
-from ebamcheck_stencil.crossings import Crossings, Flips, as_image, empty_bitmap, flip, flips_by_layer
+from ebamcheck_stencil.crossings import Crossings, Flips, empty_bitmap, flip, flips_by_layer
 from ebamcheck_stencil.drawn_facets import _is_near_a_centre
 from ebamcheck_stencil.field_of_view import MARGIN_PX, SUBPIXELS, FieldOfView, field_of_view
 from ebamcheck_stencil.marching_squares import contours_of_layers, layers_of

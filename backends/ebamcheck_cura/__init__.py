@@ -1,7 +1,6 @@
-"""CuraEngine behind the slicer protocol.
+"""The program CuraEngine as a slicer: an independent check, read from the G-code of its surface mode.
 
-In surface mode CuraEngine follows the contours of a layer. It works in whole micrometres and merges vertices within 30 um of
-each other, so the part is magnified for it, as far as its 64-bit products allow.
+It works in whole micrometres and merges vertices within 30 um, so the part is magnified as far as its 64-bit products allow.
 """
 
 from __future__ import annotations
@@ -41,18 +40,13 @@ PROGRAM = Program(
 
 # Environment variable with the folder of Cura's definitions, if it is none of the usual ones
 DEFINITIONS = "EBAMCHECK_CURA_DEFINITIONS"
-
 USUAL_DEFINITIONS = ("/usr/share/cura/resources/definitions", "/usr/local/share/cura/resources/definitions")
-
 PRINTER = "fdmprinter.def.json"
 EXTRUDER = "fdmextruder.def.json"
 
 UNIT = 1e-3  # CuraEngine's unit of length, a micrometre, mm
-
+# Larger side of the part as CuraEngine gets it, mm, or half of it. From 1.5 million units on its test for collinear points overflows
 WORKING_SIZE = 2.0**20 * UNIT
-"""Larger side of the part as CuraEngine gets it, mm: between half of this and this. From about 1.5 million units on, products of
-three lengths overflow in its test for nearly collinear points, and it drops corners."""
-
 # Largest height of the part as CuraEngine gets it, in its units: the product with a side stays within 64 bits
 TALLEST = 2**28
 # Distance within which CuraEngine merges vertices (`vertex_meld_distance` in its source), in its units
@@ -62,11 +56,7 @@ OTHER_UNITS = 6.0
 
 
 class Cura:
-    """Contours by the program CuraEngine, as its G-code in surface mode follows them.
-
-    The paths have no direction, so the solid is what lies within an odd number of rings; a part whose
-    shells cross is refused. Paths of open surfaces stay open.
-    """
+    """Contours by CuraEngine: paths have no direction, so a part whose shells cross is refused; open ones stay open."""
 
     name: ClassVar[str] = "cura"
     summary: ClassVar[str] = "witness: the program CuraEngine (surface mode); no crossing shells"
@@ -79,15 +69,13 @@ class Cura:
     def probe(self) -> Probe:
         """Whether CuraEngine and Cura's definitions are installed, and the version."""
         answer = PROGRAM.probe()
-        if not answer.available:
-            return answer
         try:
-            definitions()
+            if answer.available:
+                definitions()
+            return answer
         except BackendMissing as missing:
-            return Probe(
-                False, why=str(missing), hint=f"apt install cura, or name the folder in {DEFINITIONS}"
-            )
-        return answer
+            hint = f"apt install cura, or name the folder in {DEFINITIONS}"
+            return Probe(False, why=str(missing), hint=hint)
 
     def error_bound_mm(self, part: Part, settings: BackendSettings) -> float:
         """Return the rounding of coordinates to 32 bits and to whole units, and the merging of vertices, mm."""

@@ -21,23 +21,13 @@ NO_FACET = -1  # facet of a knot without a crossing, which lies at the middle or
 SADDLE = -1  # cell of a link in a cell with four knots: no corner of the section is added to such a link
 
 
-class RowKnots(NamedTuple):
-    """Crossed grid edges of all rows: entering, leaving, entering, leaving along each row."""
+class Knots(NamedTuple):
+    """Crossed grid edges: along each row, entering, leaving, entering, leaving; or from each row to the next."""
 
-    starts: Ints  # (rows + 1,) first knot of each row
-    node: Ints  # (K,) column of the node at the right end of the crossed edge
-    along: Floats  # (K,) x of the knot, mm
+    starts: Ints  # (rows + 1,) first knot of each row, or between row j and row j + 1
+    node: Ints  # (K,) column of the node at the right end of the crossed edge, or on which the knot lies; ascending in a row
+    along: Floats  # (K,) x of the knot, or y, mm
     facet: Facets
-
-
-class ColumnKnots(NamedTuple):
-    """Crossed grid edges between each row and the next."""
-
-    starts: Ints  # (rows + 1,) first knot between row j and row j + 1
-    node: Ints  # (K,) column on which the knot lies, ascending within each pair of rows
-    along: Floats  # (K,) y of the knot, mm
-    facet: Facets
-    up: Bools  # (K,) whether the column enters the material there
 
 
 @kernel
@@ -47,7 +37,7 @@ def rings_of_layer(
     """Rings of one layer from the borders on its rays: points (N, 2), mm about the part's centre, and ring starts (R + 1,)."""
     x0, y0, cell, _, row_count = grid
     across = row_knots(grid, rows, columns)
-    upwards = column_knots(grid, across, columns)
+    upwards, up = column_knots(grid, across, columns)
     count = across.along.size
     points = np.empty((count + upwards.along.size, 2))
     facet = np.empty(points.shape[0], np.int32)
@@ -57,12 +47,12 @@ def rings_of_layer(
     for k in range(upwards.along.size):
         points[count + k, 0], points[count + k, 1] = x0 + cell * upwards.node[k], upwards.along[k]
         facet[count + k] = upwards.facet[k]
-    after, cells = links(across, upwards, points)
+    after, cells = links(across, upwards, up, points)
     return _chain(grid, after, cells, points, facet, mesh, z, corners)
 
 
 @kernel
-def row_knots(grid: Grid, rows: RayColumns, columns: RayColumns) -> RowKnots:
+def row_knots(grid: Grid, rows: RayColumns, columns: RayColumns) -> Knots:
     """Crossed edges along rows: those with an odd number of borders of the row's ray.
 
     The nodes of a row whose ray does not pair are mended: by the columns, and where those fail as the row below.
@@ -114,12 +104,12 @@ def row_knots(grid: Grid, rows: RayColumns, columns: RayColumns) -> RowKnots:
                 facet[out] = row_facet[k] if k >= 0 else NO_FACET
                 out += 1
         starts[j + 1] = out
-    return RowKnots(starts, node[:out], along[:out], facet[:out])
+    return Knots(starts, node[:out], along[:out], facet[:out])
 
 
 @kernel
-def column_knots(grid: Grid, rows: RowKnots, columns: RayColumns) -> ColumnKnots:
-    """Crossed edges along columns: where the sides of a row's nodes differ from the next row's."""
+def column_knots(grid: Grid, rows: Knots, columns: RayColumns) -> tuple[Knots, Bools]:
+    """Crossed edges along columns, where the sides of a row's nodes differ from the next row's, and whether each enters the material."""
     row_starts, row_node = rows.starts, rows.node
     _, y0, cell, _, row_count = grid
     col_starts, col_along, col_facet, _ = columns
@@ -166,7 +156,7 @@ def column_knots(grid: Grid, rows: RowKnots, columns: RayColumns) -> ColumnKnots
             above[node[k]] = b
             along[k], border = _middle(col_along, first, past, a, b, low, high)
             facet[k] = col_facet[border] if border >= 0 else NO_FACET
-    return ColumnKnots(starts, node, along, facet, up)
+    return Knots(starts, node, along, facet), up
 
 
 @kernel
@@ -188,7 +178,7 @@ def _middle(
 
 
 @kernel
-def links(rows: RowKnots, columns: ColumnKnots, points: Floats) -> tuple[Ints, Ints]:
+def links(rows: Knots, columns: Knots, up: Bools, points: Floats) -> tuple[Ints, Ints]:
     """Knot that follows each knot, material on the left, those of rows before those of columns; and column and row of the cell between.
 
     Where four knots meet, the cell is :data:`SADDLE`, and the shorter way is taken between their `points` (K, 2), mm. Three
@@ -219,10 +209,10 @@ def links(rows: RowKnots, columns: ColumnKnots, points: Floats) -> tuple[Ints, I
                     knot, enters = q, (q - row_starts[j + 1]) % 2 == 0
                     q += 1
                 elif side == 2 and c < c_end and col_node[c] == cell:
-                    knot, enters = base + c, columns.up[c]
+                    knot, enters = base + c, up[c]
                     c += 1
                 elif side == 3 and c < c_end and col_node[c] == cell + 1:  # of the next cell, too
-                    knot, enters = base + c, not columns.up[c]
+                    knot, enters = base + c, not up[c]
                 else:
                     continue
                 if enters:

@@ -1,7 +1,6 @@
-"""PrusaSlicer behind the slicer protocol.
+"""The program PrusaSlicer as a slicer: an independent check, read from the images that it writes for printers that cure a layer at a time.
 
-PrusaSlicer does not output exact contours: the paths of its G-code are offset inwards. For printers that cure a whole
-layer at a time it writes images, in which a pixel is white if material covers half of it.
+In these a pixel is white if material covers half of it; the paths of its G-code are offset inwards.
 """
 
 from __future__ import annotations
@@ -50,11 +49,9 @@ DEFAULT_PIXELS = 1024  # default number of pixels along the larger side of the p
 LARGEST_IMAGE = 16384  # most pixels along a side of an image: the program's memory grows with the square
 MARGIN_PIXELS = 4  # empty pixels around the part
 
+# Farthest, in pixels, that a contour is off: a point of a cell of marching squares lies within sqrt(10)/4 of the nearest pixel centre of
+# its side, and a disc about it that covers half of that pixel has a radius of 0.850; coverage is counted in steps of 1/256
 CONTOUR_REACH = 0.87
-"""Farthest, in pixels, that a point lies from the nearest point of the other kind if the contour is wrong about it.
-
-A point of a cell of marching squares lies within sqrt(10)/4 of the nearest pixel centre of its side, and a disc about it
-that covers half of that pixel has a radius of 0.850; coverage is counted in steps of 1/256."""
 
 
 class PrusaSettings(ProgramSettings):
@@ -65,10 +62,7 @@ class PrusaSettings(ProgramSettings):
 
 
 class Prusa:
-    """Contours of the images that PrusaSlicer writes for printers that cure a layer at a time.
-
-    PrusaSlicer silently closes open meshes and reorients parts of negative volume, so those are refused here.
-    """
+    """Contours of images; open meshes and parts of negative volume, which PrusaSlicer mends silently, are refused."""
 
     name: ClassVar[str] = "prusa"
     summary: ClassVar[str] = (

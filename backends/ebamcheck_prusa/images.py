@@ -1,7 +1,4 @@
-"""Images of layers in an SL1 archive, and their contours.
-
-An SL1 archive is a zip file with one PNG image per layer, 8 bits per pixel, 255 where there is material.
-"""
+"""Images of layers in an SL1 archive, a zip file with a grey PNG image for each, 255 where there is material; and their contours."""
 
 from __future__ import annotations
 
@@ -24,10 +21,7 @@ Bits = NDArray[np.bool_]
 
 
 def archived_images(path: Path) -> Iterator[tuple[int, Bits]]:
-    """Images of an archive: number of the layer, and mask of the solid pixels (H, W), with rows upwards.
-
-    :class:`BackendFailed` is raised if the archive or an image in it cannot be read.
-    """
+    """Number of each layer and mask (H, W) of its solid pixels, rows upwards; :class:`BackendFailed` where they cannot be read."""
     try:
         with zipfile.ZipFile(path) as archive:
             for name in sorted(archive.namelist()):
@@ -54,10 +48,7 @@ def solid_pixels(png: bytes) -> Bits:
 
 
 def contours(solid: Bits) -> list[Floats]:
-    """Contours half way between solid and empty pixel centres, with the solid on the left.
-
-    Rings (n, 2) are in pixels from the corner of the image; their last point is their first one.
-    """
+    """Rings (n, 2), closed, half way between solid and empty pixel centres, solid on the left, in pixels from the image's corner."""
     from skimage.measure import find_contours
 
     rows, columns = np.flatnonzero(solid.any(axis=1)), np.flatnonzero(solid.any(axis=0))

@@ -1,7 +1,7 @@
-"""Slic3r behind the slicer protocol.
+"""The program Slic3r as a slicer: an independent check, read from its SVG export.
 
 Slic3r closes gaps under 0.1 mm, cuts no layer over 1 mm, reads layer heights to six digits and coordinates to 32 bits.
-So the part is scaled for it: in x and y until the gaps that it closes are negligible, and in z to layers of 1 mm.
+So the part is scaled: in x and y until the gaps that it closes are negligible, and in z to layers of 1 mm.
 """
 
 from __future__ import annotations
@@ -42,29 +42,21 @@ PROGRAM = Program(
     version_pattern=r"(\d+\.\d+\.\d\S*)",
 )
 
+# Larger side of the part as Slic3r gets it, mm, or half of it: far below its 64-bit integers of 1e-6 mm, which offsets multiply by 1e5
 WORKING_SIZE = 2.0**20
-"""Larger side of the part as Slic3r gets it, mm: between half of this and this. Far below the limits of its 64-bit integers of
-1e-6 mm, which its offsets multiply by 1e5."""
-
 LAYER = 1.0  # height of a layer as Slic3r gets it, mm; the highest that it cuts
 # Radius of the closing that Slic3r applies to every slice, mm in its coordinates (`safety_offset` in its source)
 CLOSING = 0.0499
-
+# Roundings to 32 bits that a crossing goes through: file, scale, difference of two ends, place along the edge (three), sum; times the
+# square root of two for both coordinates
 PLANE_ROUNDINGS = 10.0
-"""Roundings to 32 bits that a crossing goes through: file, scale, difference of two ends, place along the edge (three),
-sum; times the square root of two for both coordinates."""
-
 HEIGHT_ROUNDINGS = 3.0  # the same for heights: file, scale of the vertex, scale of the plane
 # Messages of Slic3r when it leaves out loops or makes up a layer from its neighbours
 TROUBLE = ("overlapping or self-intersecting facets", "Unable to close this loop")
 
 
 class Slic3r:
-    """Slices that the program Slic3r exports.
-
-    Loops are united; a hole is taken from every larger loop, also of another shell. Slic3r silently repairs open meshes
-    and reorients parts of negative volume, so those are refused here.
-    """
+    """Slices that Slic3r exports, its loops united; open meshes and parts of negative volume, which it mends silently, are refused."""
 
     name: ClassVar[str] = "slic3r"
     summary: ClassVar[str] = "witness: the program Slic3r (SVG export); refuses open meshes"
@@ -127,8 +119,6 @@ def _arguments() -> list[str]:
     ]
 
 
-# -- the exported SVG: contours and holes of each layer, in millimetres --------------------------------------
-
 # Unit of heights in the file, mm: Slic3r wrongly divides them by a million, as if they were its integers
 HEIGHT_UNIT_MM = 1e6
 
@@ -137,10 +127,9 @@ _POLYGON = re.compile(rb'<polygon slic3r:type="(contour|hole)" points="([^"]*)"'
 
 
 def slices(lines: Iterable[bytes]) -> Iterator[tuple[float, list[Floats]]]:
-    """Height, mm above the bed, and rings of one slice of an exported SVG after the other.
+    """Height, mm above the bed, and rings (n, 2), closed, mm from the part's least corner, of one slice of an SVG after the other.
 
-    Points (n, 2) of a ring are in mm from the least corner of the part, the first again at the end; contours run
-    counter-clockwise, holes clockwise. :class:`BackendFailed` is raised on text that Slic3r does not write.
+    Holes run clockwise. :class:`BackendFailed` is raised on text that Slic3r does not write.
     """
     height_mm = 0.0
     rings: list[Floats] | None = None

@@ -228,9 +228,3 @@ def flip(bitmap: Words, pixels: NDArray[np.uint32]) -> None:
     """Flip pixels of a bitmap in place."""
     for i in range(pixels.size):
         bitmap[pixels[i] >> np.uint32(6)] ^= np.uint64(1) << np.uint64(pixels[i] & np.uint32(63))
-
-
-def as_image(bitmap: Words, view: FieldOfView) -> NDArray[np.bool_]:
-    """The bitmap as an image (height, width), row 0 at the least y."""
-    bits = np.unpackbits(bitmap.astype("<u8").view(np.uint8), bitorder="little")
-    return bits.reshape(view.height_px, view.stride_px)[:, : view.width_px].astype(np.bool_)

@@ -18,10 +18,8 @@ from ebamcheck.mesh.part import Part
 from ebamcheck.threads import block_edges, run_blocks, run_in_order
 from ebamcheck_stencil.crossings import (
     Crossings,
-    as_image,
     crossings_of_fragments,
     empty_bitmap,
-    flip,
     flips_by_layer,
     join,
 )
@@ -191,9 +189,3 @@ class DrawnOnce:
             if progress is not None:
                 progress(edges[len(found)] - first)
         return layers_of(heights, found, self._view, self._labels)
-
-    def bitmap(self, height_mm: float) -> NDArray[np.bool_]:
-        """Image (height, width) of the section at a height, row 0 at the least y."""
-        bitmap = empty_bitmap(self._view)
-        flip(bitmap, flips_by_layer(self._crossings, np.array([height_mm])).pixels)
-        return as_image(bitmap, self._view)

@@ -20,7 +20,7 @@ from ebamcheck.backend import Progress
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
 from ebamcheck.threads import run_blocks
-from ebamcheck_stencil.crossings import Flips, as_image, empty_bitmap
+from ebamcheck_stencil.crossings import Flips, empty_bitmap
 from ebamcheck_stencil.drawn_facets import drawn_facets
 from ebamcheck_stencil.field_of_view import SUBPIXELS, WORD_BITS, FieldOfView, windows
 from ebamcheck_stencil.marching_squares import Rings, contours_of_layers, layers_of
@@ -116,13 +116,6 @@ class LiteralSlices:
                 blocks.append(pool.submit(self._rings, bitmaps))
             found = [rings for block in blocks for rings in block.result()]
         return layers_of(heights, found, self._view, self._labels)
-
-    def bitmap(self, height_mm: float) -> NDArray[np.bool_]:
-        """Image (height, width) of the section at a height, row 0 at the least y."""
-        bitmaps = np.empty((1, self._bitmap_words), np.uint64)
-        for _ in self._draw(np.array([height_mm]), bitmaps):
-            pass
-        return as_image(bitmaps[0], self._view)
 
     def _draw(self, heights: NDArray[np.float64], bitmaps: NDArray[np.uint64]) -> Iterator[int]:
         """Draw the bitmaps (heights, words) of a block of layers; yields how many more are there.

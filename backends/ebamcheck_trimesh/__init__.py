@@ -139,10 +139,7 @@ class PreparedSections:
 
 
 def _refuse_touching(layers: Layers, reach_mm: float) -> None:
-    """Raise :class:`BackendFailed` where paths of a layer touch along a line, or one touches itself.
-
-    Segments are joined by their ends alone: where several have one end, trimesh takes whichever comes first, and drops doubled ones.
-    """
+    """Raise :class:`BackendFailed` where paths of a layer touch along a line, or one itself: there trimesh joins any two segments."""
     import shapely
 
     for k in range(len(layers)):
