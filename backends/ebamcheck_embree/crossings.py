@@ -54,8 +54,18 @@ def sections_at(mesh: Mesh, z_mm: Floats) -> Sections:
     starts = np.zeros(len(faces) + 1, np.int64)
     for f in range(len(faces)):
         a, b, c = vertices[faces[f, 0], 2], vertices[faces[f, 1], 2], vertices[faces[f, 2], 2]
-        first[f] = np.searchsorted(z_mm, min(a, b, c))
-        starts[f + 1] = starts[f] + np.searchsorted(z_mm, max(a, b, c)) - first[f]
+        begin = 0
+        # `np.searchsorted` takes one and a half times as long.
+        for place in (min(a, b, c), max(a, b, c)):
+            low, high = begin, z_mm.size  # the first height that is not below the place
+            while low < high:
+                middle = (low + high) // 2
+                if z_mm[middle] < place:
+                    low = middle + 1
+                else:
+                    high = middle
+            first[f], begin = begin, low
+        starts[f + 1] = starts[f] + begin - first[f]
     segments = np.empty((starts[-1], 4))
     for f in range(len(faces)):
         for n in range(starts[f], starts[f + 1]):
@@ -74,10 +84,7 @@ def sections_at(mesh: Mesh, z_mm: Floats) -> Sections:
 
 @kernel
 def rays_across(sections: Sections, axis: int, lines: Floats) -> tuple[Ints, Ints]:
-    """First ray that each segment crosses, and the one after the last, (S,) each.
-
-    Rays stand on equally spaced lines (R,), R > 1; their numbers go on from each height to the next.
-    """
+    """First ray, on equally spaced lines (R,), that each segment crosses, and the one after the last, (S,) each; numbered by height."""
     segments, spacing = sections.segments, lines[1] - lines[0]
     begins, ends = np.empty(len(segments), np.int64), np.empty(len(segments), np.int64)
     for f in range(sections.first.size):

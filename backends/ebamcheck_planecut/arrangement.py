@@ -32,10 +32,7 @@ class Arrangement(NamedTuple):
 
 
 def arrangement(layer: Layers, reach_mm: float, sheets: Index) -> Arrangement:
-    """Return the arrangement of all closed rings of a layer (a stack of length 1), whose points may be off by the reach.
-
-    `sheets` (V,) has the sheet of each vertex of the mesh.
-    """
+    """Return the arrangement of all closed rings of a layer, whose points may be off by the reach; `sheets` (V,) are of the mesh."""
     assert layer.edge is not None
     # A point, and a side, of which one end belongs to a single sheet lies on that one.
     sheet = sheets[layer.edge].max(axis=1)

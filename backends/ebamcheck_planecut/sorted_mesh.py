@@ -21,7 +21,6 @@ Levels = NDArray[np.uint8]
 
 # Facets of a run that is skipped as a whole: so many that testing all runs costs as little as going through one
 RUN = 256
-
 RUNS_A_BLOCK = 128
 FACETS_A_BLOCK = RUN * RUNS_A_BLOCK  # fewest runs, and facets, worth a thread
 FLAT = -1  # first corner of a facet that is left out
@@ -77,10 +76,7 @@ def sorted_mesh(part: Part, before: SortedMesh | None = None) -> SortedMesh:
 
 
 def crossed_mesh(part: Part, heights: Floats) -> SortedMesh:
-    """Sort only the facets that some planes (L,), increasing, cross; at these heights the result is cut like the whole mesh.
-
-    All facets around a cut edge are among these, in the same order as in the whole mesh, so contours are the same bit for bit.
-    """
+    """Sort only the facets that some planes (L,), increasing, cross; at these heights it is cut like the whole mesh, bit for bit."""
     level = np.empty(len(part.vertices), np.uint8)
     run_blocks(lambda a, b: _levels(part.vertices, heights, level, a, b), level.size, FACETS_A_BLOCK)
     crossed = np.concatenate(

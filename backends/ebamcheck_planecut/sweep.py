@@ -164,10 +164,7 @@ def _stands_before(points: Floats, forms: Ints, r: int, s: int) -> bool:
 def trace_layer(
     mesh: SortedMesh, h: float, under: int, active: Index, count: int, seen: Index, mark: int, track: Tracks
 ) -> int:
-    """Trace the rings and open paths of one layer, in the order of their first facets, solid on the left; returns their number.
-
-    The facets ``active[:count]`` are cut. The walk writes `mark` at each facet that it has passed in `seen` (F,).
-    """
+    """Trace the rings and open paths of one layer, which cuts the facets ``active[:count]``, solid on the left; returns their number."""
     rings = 0
     for phase in range(FROM_ENTRY if mesh.around.is_open else RINGS, RINGS + 1):
         forwards = phase != FROM_EXIT
@@ -200,10 +197,7 @@ def _walk(
     track: Tracks,
     first: int,
 ) -> int:
-    """Follow the section from facet to facet until it ends or closes; returns the row after its last point.
-
-    It begins in facet `f`, which it passes from its entry to its exit if `forwards`.
-    """
+    """Follow the section from facet `f`, passed from entry to exit if `forwards`, until it ends or closes; returns the row after it."""
     filled = first
     if not is_ring:
         low, high, _ = _left_by(mesh, f, under, not forwards)

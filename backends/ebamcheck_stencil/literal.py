@@ -118,10 +118,7 @@ class LiteralSlices:
         return layers_of(heights, found, self._view, self._labels)
 
     def _draw(self, heights: NDArray[np.float64], bitmaps: NDArray[np.uint64]) -> Iterator[int]:
-        """Draw the bitmaps (heights, words) of a block of layers; yields how many more are there.
-
-        The device draws some while the ones before them are fetched.
-        """
+        """Draw the bitmaps (heights, words) of a block of layers; yields how many more are there. Some are drawn while others are fetched."""
         drawn = int(np.searchsorted(heights, self._top_mm, side="right")) if self._height_mm > 0.0 else 0
         bitmaps[drawn:] = 0
         edges = [*range(0, drawn, self._at_once), drawn]

@@ -21,7 +21,6 @@ from ebamcheck_stencil.field_of_view import FieldOfView
 
 # Points for which room is made beyond those at hand, at least where more layers are to come; doubled as needed
 SPARE_POINTS = 2**22
-
 FIRST_POINTS = 4096
 FIRST_RINGS = 64  # initial sizes of the output columns; they grow as needed
 # Most points of contours for each pair of neighbours in a row of which exactly one is solid: itself, and both ends of a run along x after it
