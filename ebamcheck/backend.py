@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from importlib import import_module
+from importlib.metadata import version
 from types import TracebackType
-from typing import TYPE_CHECKING, ClassVar, Literal, Protocol, Self, runtime_checkable
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol, Self, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
+
+from ebamcheck.errors import SettingsError
 
 if TYPE_CHECKING:
     # Who asks a plugin what it is waits for no compiler of kernels.
@@ -31,6 +35,13 @@ class BackendSettings(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
+    @classmethod
+    def own(cls, settings: BackendSettings, backend: str) -> Self:
+        """Return settings of this class; raises :class:`SettingsError` for those of another slicer."""
+        if not isinstance(settings, cls):
+            raise SettingsError(f"{backend}: settings are {type(settings).__name__}: give its own Settings")
+        return settings
+
 
 @dataclass(frozen=True)
 class Probe:
@@ -41,6 +52,25 @@ class Probe:
     hint: str = ""  # what to install or set, in one line
     versions: Mapping[str, str] = field(default_factory=dict)
     device: str = "CPU"  # what computes: the processor, or the renderer's name as OpenGL gives it
+
+
+def installed(package: str, module: str) -> Probe:
+    """Whether a package is there and one of its modules can be imported, and its version."""
+    try:
+        import_module(module)
+        return Probe(True, versions={package: version(package)})
+    except (ImportError, OSError) as error:  # among them PackageNotFoundError
+        return Probe(False, why=f"{package} cannot be imported: {error}", hint=f"pip install {package}")
+
+
+def labels_of(part: Part, backend: str, settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Labels of the layers that a slicer makes of a part."""
+    return {
+        "part": part.sha256,
+        "direction": part.direction,
+        "backend": backend,
+        "settings": dict(settings),
+    }
 
 
 class Prepared(Protocol):

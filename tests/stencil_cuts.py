@@ -9,6 +9,8 @@ import shapely
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part, from_arrays
 from ebamcheck_stencil import Stencil
+from ebamcheck_stencil.crossings import empty_bitmap, flip, flips_by_layer
+from ebamcheck_stencil.literal import LiteralSlices
 
 PROBE = Stencil().probe()
 gl = [pytest.mark.gl, pytest.mark.skipif(not PROBE.available, reason=f"stencil: {PROBE.why}")]
@@ -19,6 +21,23 @@ def cut(mesh, heights, **settings) -> Layers:
     part = mesh if isinstance(mesh, Part) else from_arrays(*mesh)
     with Stencil().prepare(part, Stencil.Settings(**settings)) as prepared:
         return prepared.slice(np.asarray(heights, float))
+
+
+def as_image(bitmap, view):
+    """The bitmap as an image (height, width), row 0 at the least y."""
+    bits = np.unpackbits(bitmap.astype("<u8").view(np.uint8), bitorder="little")
+    return bits.reshape(view.height_px, view.stride_px)[:, : view.width_px].astype(np.bool_)
+
+
+def image_at(prepared, height_mm):
+    """Image (height, width) of the section of a prepared part at a height, row 0 at the least y."""
+    height = np.array([float(height_mm)])
+    bitmap = empty_bitmap(prepared._view)
+    if isinstance(prepared, LiteralSlices):
+        assert sum(prepared._draw(height, bitmap[None, :])) == 1
+    else:
+        flip(bitmap, flips_by_layer(prepared._crossings, height).pixels)
+    return as_image(bitmap, prepared._view)
 
 
 def bound(mesh, **settings) -> float:

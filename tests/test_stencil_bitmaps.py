@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import shapely
+from stencil_cuts import image_at
 from stencil_parts import box, joined, moved, torus, turned
 
 from ebamcheck.mesh.part import Part, from_arrays
@@ -86,13 +87,13 @@ def test_few_pixels_differ_and_only_within_a_lattice_step_of_the_contour(name):
     ):
         for height in heights(part, 6):
             segments = section(part, height)
-            exact, drawn = exact_image(segments, view), once.bitmap(height)
+            exact, drawn = exact_image(segments, view), image_at(once, height)
             assert exact.any()
             contour = shapely.MultiLineString(segments.reshape(-1, 2, 2).tolist())
             assert np.count_nonzero(drawn != exact) <= MOST_DIFFERING
             assert farthest_px(drawn != exact, contour, view) <= 1.0 / SUBPIXELS
             # Clipping rounds once more, and how it does is the driver's.
-            clipped = literal.bitmap(height)
+            clipped = image_at(literal, height)
             assert np.count_nonzero(drawn != clipped) <= 2 * MOST_DIFFERING
             clipped_px = CLIP_MOVE_PX + 4.0 * FLOAT32_STEP * view.viewport_px
             assert farthest_px(clipped != exact, contour, view) <= clipped_px
@@ -107,4 +108,4 @@ def test_the_bitmap_is_what_the_contours_are_drawn_around():
             region = shapely.union_all(once.slice(np.array([height])).polygons(0))
             x, y = view.to_mm(2 * np.indices((view.width_px, view.height_px)).reshape(2, -1).T).T
             inside = shapely.contains_xy(region, x, y).reshape(view.width_px, view.height_px).T
-            assert np.array_equal(inside, once.bitmap(height))
+            assert np.array_equal(inside, image_at(once, height))

@@ -18,6 +18,7 @@ from stencil_cuts import (
     cut,
     exact_section,
     gl,
+    image_at,
     region_of,
     same,
 )
@@ -201,7 +202,7 @@ class TestWithOpenGL:
     def images(part, levels, pixel_mm):
         """Bitmaps at the levels, and the facets of which they were drawn."""
         with Stencil().prepare(part, Stencil.Settings(pixel_mm=pixel_mm, mode="literal")) as prepared:
-            return [prepared.bitmap(level) for level in levels], prepared._drawn
+            return [image_at(prepared, level) for level in levels], prepared._drawn
 
     def test_half_a_fine_mesh_need_not_be_sent(self):
         part = from_arrays(*turned(torus(9, 3, 300, 200), (3, 1, 2), 1.9))
@@ -247,11 +248,11 @@ class TestWithOpenGL:
     def test_a_bitmap_after_other_drawing_is_the_same(self):
         part, settings = from_arrays(*box()), Stencil.Settings(pixel_mm=0.05, mode="literal")
         with Stencil().prepare(part, settings) as first, Stencil().prepare(part, settings) as second:
-            before = first.bitmap(0.5)
+            before = image_at(first, 0.5)
             second.slice(np.array([0.25]))
             first.slice(np.array([0.75]))
             assert before.any()
-            assert np.array_equal(first.bitmap(0.5), before)
+            assert np.array_equal(image_at(first, 0.5), before)
 
     def test_the_two_modes_agree_but_for_the_lattice(self):
         mesh = turned(torus(9, 3), (1, 2, 3), 0.9)

@@ -23,8 +23,8 @@ from ebamcheck.errors import BackendFailed, BackendMissing
 from ebamcheck.scratch import scratch_folder
 from ebamcheck.testing.solids import simple
 from ebamcheck_cura.gcode import read_paths
-from ebamcheck_prusa.images import archived_images, contours, unfiltered
-from ebamcheck_slic3r.slicer import slices
+from ebamcheck_prusa.images import archived_images, contours
+from ebamcheck_slic3r import slices
 
 # -- programs ------------------------------------------------------------------------------------------
 
@@ -246,5 +246,7 @@ def test_unreadable_archives_are_refused(tmp_path: Path) -> None:
         archive.writestr("a00000.png", b"GIF89a")
     with pytest.raises(BackendFailed, match="no PNG"):
         list(archived_images(tmp_path / "other.sl1"))
-    with pytest.raises(BackendFailed, match="filter 4"):
-        unfiltered(np.full((2, 3), 4, np.uint8))
+    with zipfile.ZipFile(tmp_path / "cut.sl1", "w") as archive:
+        archive.writestr("a00000.png", png(np.arange(400, dtype=np.uint8).reshape(20, 20))[:60])
+    with pytest.raises(BackendFailed, match="no PNG"):
+        list(archived_images(tmp_path / "cut.sl1"))

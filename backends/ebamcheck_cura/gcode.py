@@ -23,10 +23,7 @@ _BLOCK = re.compile(
 
 
 def read_paths(text: bytes) -> dict[int, list[Floats]]:
-    """Layer as CuraEngine counts to its paths (n, 2) in mm; a ring ends where it begins.
-
-    :class:`BackendFailed` is raised where the text is truncated.
-    """
+    """Layer as CuraEngine counts to its paths (n, 2) in mm; :class:`BackendFailed` where the text is truncated."""
     if END_WORD not in text[-200:]:
         raise BackendFailed("what CuraEngine wrote is cut: its end code is missing")
     start = text.find(b";LAYER:")

@@ -1,11 +1,7 @@
-"""Marching squares on the few cells that a contour passes.
+"""Marching squares (the paper, section 3.1) on the few cells that a contour passes, with the measured crossing of each grid edge.
 
-The rows of the grid decide which nodes are inside; where two neighbouring rows differ, the contour crosses the
-grid edge between them. Every cell then has 0, 2 or 4 crossed edges whatever rounding did, so contours close.
-A crossing is one *knot* of a contour: on a row at the border of its ray, on a column where that column's ray has one.
-
-Source: the marching squares of the paper (section 3.1), with the measured crossing of each grid edge instead
-of the interpolated one of its formula 4.
+The rows of the grid decide which nodes are inside; where two neighbouring rows differ, the contour crosses the grid edge between
+them. Every cell then has 0, 2 or 4 crossed edges whatever rounding did, so contours close. A crossing is a *knot* of a contour.
 """
 
 from __future__ import annotations
@@ -16,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ebamcheck.kernels import Bools, Floats, Ints, kernel
-from ebamcheck_embree.grid import Lattice
+from ebamcheck_embree.grid import Grid
 from ebamcheck_embree.scene import Facets, Mesh
 
 # The columns `starts`, `along`, `facet` and `paired` of `ebamcheck_embree.crossings.Borders`
@@ -25,36 +21,23 @@ NO_FACET = -1  # facet of a knot without a crossing, which lies at the middle or
 SADDLE = -1  # cell of a link in a cell with four knots: no corner of the section is added to such a link
 
 
-class RowKnots(NamedTuple):
-    """Crossed grid edges of all rows: entering, leaving, entering, leaving along each row."""
+class Knots(NamedTuple):
+    """Crossed grid edges: along each row, entering, leaving, entering, leaving; or from each row to the next."""
 
-    starts: Ints  # (rows + 1,) first knot of each row
-    node: Ints  # (K,) column of the node at the right end of the crossed edge
-    along: Floats  # (K,) x of the knot, mm
+    starts: Ints  # (rows + 1,) first knot of each row, or between row j and row j + 1
+    node: Ints  # (K,) column of the node at the right end of the crossed edge, or on which the knot lies; ascending in a row
+    along: Floats  # (K,) x of the knot, or y, mm
     facet: Facets
-
-
-class ColumnKnots(NamedTuple):
-    """Crossed grid edges between each row and the next."""
-
-    starts: Ints  # (rows + 1,) first knot between row j and row j + 1
-    node: Ints  # (K,) column on which the knot lies, ascending within each pair of rows
-    along: Floats  # (K,) y of the knot, mm
-    facet: Facets
-    up: Bools  # (K,) whether the column enters the material there
 
 
 @kernel
 def rings_of_layer(
-    grid: Lattice, rows: RayColumns, columns: RayColumns, mesh: Mesh, z: float, corners: bool
+    grid: Grid, rows: RayColumns, columns: RayColumns, mesh: Mesh, z: float, corners: bool
 ) -> tuple[Floats, Ints]:
-    """Rings of one layer from the borders on its rays: points (N, 2), mm about the part's centre, and ring starts (R + 1,).
-
-    With `corners`, the section's own vertices between the knots are points, too.
-    """
+    """Rings of one layer from the borders on its rays: points (N, 2), mm about the part's centre, and ring starts (R + 1,)."""
     x0, y0, cell, _, row_count = grid
     across = row_knots(grid, rows, columns)
-    upwards = column_knots(grid, across, columns)
+    upwards, up = column_knots(grid, across, columns)
     count = across.along.size
     points = np.empty((count + upwards.along.size, 2))
     facet = np.empty(points.shape[0], np.int32)
@@ -64,17 +47,15 @@ def rings_of_layer(
     for k in range(upwards.along.size):
         points[count + k, 0], points[count + k, 1] = x0 + cell * upwards.node[k], upwards.along[k]
         facet[count + k] = upwards.facet[k]
-    after, cells = links(across, upwards, points)
+    after, cells = links(across, upwards, up, points)
     return _chain(grid, after, cells, points, facet, mesh, z, corners)
 
 
 @kernel
-def row_knots(grid: Lattice, rows: RayColumns, columns: RayColumns) -> RowKnots:
-    """Crossed edges along rows from the borders of row rays.
+def row_knots(grid: Grid, rows: RayColumns, columns: RayColumns) -> Knots:
+    """Crossed edges along rows: those with an odd number of borders of the row's ray.
 
-    An edge with an even number of borders joins nodes of the same side and is not crossed: what lies
-    between is thinner than the cell. The nodes of a row whose ray does not pair are mended: by the columns, and where those
-    fail as the row below.
+    The nodes of a row whose ray does not pair are mended: by the columns, and where those fail as the row below.
     """
     x0, y0, cell, column_count, row_count = grid
     row_starts, row_along, row_facet, row_paired = rows
@@ -123,12 +104,12 @@ def row_knots(grid: Lattice, rows: RayColumns, columns: RayColumns) -> RowKnots:
                 facet[out] = row_facet[k] if k >= 0 else NO_FACET
                 out += 1
         starts[j + 1] = out
-    return RowKnots(starts, node[:out], along[:out], facet[:out])
+    return Knots(starts, node[:out], along[:out], facet[:out])
 
 
 @kernel
-def column_knots(grid: Lattice, rows: RowKnots, columns: RayColumns) -> ColumnKnots:
-    """Crossed edges along columns: where the sides of a row's nodes differ from the next row's."""
+def column_knots(grid: Grid, rows: Knots, columns: RayColumns) -> tuple[Knots, Bools]:
+    """Crossed edges along columns, where the sides of a row's nodes differ from the next row's, and whether each enters the material."""
     row_starts, row_node = rows.starts, rows.node
     _, y0, cell, _, row_count = grid
     col_starts, col_along, col_facet, _ = columns
@@ -175,17 +156,16 @@ def column_knots(grid: Lattice, rows: RowKnots, columns: RayColumns) -> ColumnKn
             above[node[k]] = b
             along[k], border = _middle(col_along, first, past, a, b, low, high)
             facet[k] = col_facet[border] if border >= 0 else NO_FACET
-    return ColumnKnots(starts, node, along, facet, up)
+    return Knots(starts, node, along, facet), up
 
 
 @kernel
 def _middle(
     along: Floats, first: int, past: int, a: int, b: int, low: float, high: float
 ) -> tuple[float, int]:
-    """Place and number of the border of a ray on the grid edge (low, high]; the number is -1 where it has none.
+    """Place and number of the middle border, of `a` to `b - 1`, of a ray on the grid edge (low, high].
 
-    Of several, `a` to `b - 1`, the middle one; else a border of the ray, `first` to `past - 1`, within half an edge
-    beyond an end counts as at that end: float64 put it on the other side. Else the edge's middle.
+    Where there is none, the number is -1, and a border of the ray within half an edge beyond an end counts as at that end.
     """
     if b > a:
         return along[(a + b) // 2], (a + b) // 2
@@ -198,14 +178,11 @@ def _middle(
 
 
 @kernel
-def links(rows: RowKnots, columns: ColumnKnots, points: Floats) -> tuple[Ints, Ints]:
-    """Knot that follows each knot, material on the left; rows' knots come before columns'; and the cell between.
+def links(rows: Knots, columns: Knots, up: Bools, points: Floats) -> tuple[Ints, Ints]:
+    """Knot that follows each knot, material on the left, those of rows before those of columns; and column and row of the cell between.
 
-    The second column, (K, 2), is the cell's column and row, :data:`SADDLE` where four knots meet. There the shorter
-    way is taken between their `points` (K, 2), mm.
-
-    Cells are swept band by band between two rows, from left to right, by three pointers: into the lower row, the
-    upper row and the columns.
+    Where four knots meet, the cell is :data:`SADDLE`, and the shorter way is taken between their `points` (K, 2), mm. Three
+    pointers, into the lower row, the upper row and the columns, sweep the cells of each band.
     """
     row_starts, row_node, col_starts, col_node = rows.starts, rows.node, columns.starts, columns.node
     base = row_node.size
@@ -232,10 +209,10 @@ def links(rows: RowKnots, columns: ColumnKnots, points: Floats) -> tuple[Ints, I
                     knot, enters = q, (q - row_starts[j + 1]) % 2 == 0
                     q += 1
                 elif side == 2 and c < c_end and col_node[c] == cell:
-                    knot, enters = base + c, columns.up[c]
+                    knot, enters = base + c, up[c]
                     c += 1
                 elif side == 3 and c < c_end and col_node[c] == cell + 1:  # of the next cell, too
-                    knot, enters = base + c, not columns.up[c]
+                    knot, enters = base + c, not up[c]
                 else:
                     continue
                 if enters:
@@ -262,7 +239,7 @@ def links(rows: RowKnots, columns: ColumnKnots, points: Floats) -> tuple[Ints, I
 
 @kernel
 def _chain(
-    grid: Lattice,
+    grid: Grid,
     after: Ints,
     cells: Ints,
     points: Floats,
@@ -271,11 +248,9 @@ def _chain(
     z: float,
     corners: bool,
 ) -> tuple[Floats, Ints]:
-    """Rings along the links; with `corners`, the section's own vertex between two knots of a cell.
+    """Rings along the links; of knots in a row on one facet the first and the last.
 
-    Where the facets of two linked knots share an edge, the contour between the knots turns exactly where
-    the plane cuts that edge; the turn is kept if it lies in the cell. Of knots in a row on one facet only
-    the first and the last are kept: the others lie on the line between.
+    With `corners`, the point where the plane cuts the edge that the facets of two linked knots share is kept, if in the cell.
     """
     x0, y0, size, _, _ = grid
     out_points = np.empty((2 * after.size, 2))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,21 +11,18 @@ from ebamcheck.errors import SettingsError
 from ebamcheck.kernels import Floats
 from ebamcheck.mesh.part import Part
 
-# First column's x and first row's y, mm, the cell, mm, and the numbers of columns and rows
-Lattice = tuple[float, float, float, int, int]
 USUAL_CELL_MM = 0.1  # cell for a part of usual size: the pixel of the paper (section 2.2)
 # Cells along the longer side: at least the order of the paper's image, at most what bounds the cost of a layer
 COARSE_LINES, FINE_LINES = 1024, 4096
 # Most lines of a grid: more come from a mistyped cell and would not fit into memory
 LARGEST_LINE_COUNT = 65_536
 
+# Fractions of a cell by which the lines are offset from the part's box: parts are drawn in round numbers, on which lines must not lie.
+# About 2 - golden ratio, and (5 - sqrt 5) / 10
 OFFSET_X, OFFSET_Y = 0.381966, 0.276393
-"""Fractions of a cell by which the lines are offset from the part's box. Faces and vertices of a drawing lie at round
-numbers and the lines must not, so these are close to irrational numbers: 2 - golden ratio, and (5 - sqrt 5) / 10."""
 
 
-@dataclass(frozen=True)
-class Grid:
+class Grid(NamedTuple):
     """Nodes ``(x0 + i cell, y0 + j cell)``, mm, about the centre of the part; the outermost lie outside it."""
 
     x0_mm: float
@@ -33,11 +30,6 @@ class Grid:
     cell_mm: float
     columns: int
     rows: int
-
-    @property
-    def lattice(self) -> Lattice:
-        """The grid in the form that kernels take."""
-        return self.x0_mm, self.y0_mm, self.cell_mm, self.columns, self.rows
 
     @property
     def column_x_mm(self) -> Floats:

@@ -113,7 +113,7 @@ class InPlaneRays:
             c, d = layer * self.grid.columns, (layer + 1) * self.grid.columns
             corners = bool(rows.simple[a:b].all() and columns.simple[c:d].all())
             across, upwards = _rays(rows, a, b), _rays(columns, c, d)
-            found, starts = rings_of_layer(self.grid.lattice, across, upwards, mesh, z, corners)
+            found, starts = rings_of_layer(self.grid, across, upwards, mesh, z, corners)
             points.append(found + self._centre_mm[:2])
             sizes.append(np.diff(starts))
             layer_starts.append(layer_starts[-1] + len(starts) - 1)
@@ -124,10 +124,7 @@ class InPlaneRays:
             np.cumsum(np.concatenate(sizes)),
             np.array(layer_starts),
             np.ones(layer_starts[-1], np.bool_),
-            part=self.part.sha256,
-            direction=self.part.direction,
-            backend="embree",
-            settings=dict(self._labels),
+            **self._labels,
         )
         return layers, unpaired
 

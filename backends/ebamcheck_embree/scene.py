@@ -36,9 +36,9 @@ class UnderWay(NamedTuple):
     repeats: NDArray[np.int32]  # (R,) how often in a row each ray has met that facet again
 
 
+# Called after a cast with the facet (R,) that each ray met, out of range for none, and its distance (R,): it moves the rays that go
+# on to the front, each to its new origin, and returns their number
 Take = Callable[[Facets, Singles, UnderWay], int]
-"""Callback after a cast, with the facet (R,) that each ray met, out of range for none, and its distance (R,). It moves the rays
-that go on to the front, each to its new origin, and returns their number."""
 
 
 class Scene:
@@ -73,20 +73,13 @@ class Slab(NamedTuple):
     scene: Scene
 
 
-class _LockedSlab:
-    """A slab once it exists, and the lock of the thread that makes it."""
-
-    def __init__(self) -> None:
-        self.lock = Lock()
-        self.slab: Slab | None = None
-
-
 class Slabs:
     """A mesh in equally thick slabs of height; each is made on demand, and the latest used are kept."""
 
     def __init__(self, mesh: Mesh) -> None:
         self._mesh = mesh
-        self._latest: dict[int, _LockedSlab] = {}
+        # Each with the lock of the thread that makes it.
+        self._latest: dict[int, tuple[Lock, list[Slab]]] = {}
         self._lock = Lock()
         self._spare: list[Facets] = []
         a, b, c = mesh.vertices[:, 2][mesh.faces.T]
@@ -119,25 +112,26 @@ class Slabs:
     def __getitem__(self, slab: int) -> Slab:
         """Return a slab, made by this thread if no other has done so."""
         with self._lock:
-            entry = self._latest.pop(slab, None) or _LockedSlab()
+            entry = self._latest.pop(slab, None) or (Lock(), [])
             self._latest[slab] = entry  # as the latest
             if len(self._latest) > SLABS_KEPT:
                 del self._latest[next(iter(self._latest))]
-        with entry.lock:
-            if entry.slab is None:
+        lock, made = entry
+        with lock:
+            if not made:
                 facets = self._facets[self._starts[slab] : self._starts[slab + 1]]
                 try:
                     own = self._spare.pop()
                 except IndexError:
                     own = np.full(len(self._mesh.vertices), -1, np.int32)
-                mesh = Mesh(*_submesh(*self._mesh, facets, own))
+                mesh = _submesh(*self._mesh, facets, own)
                 self._spare.append(own)
-                entry.slab = Slab(mesh, Scene(*mesh))
-        return entry.slab
+                made.append(Slab(mesh, Scene(*mesh)))
+        return made[0]
 
 
 @kernel
-def _submesh(vertices: Floats, faces: Facets, facets: Facets, own: Facets) -> tuple[Floats, Facets]:
+def _submesh(vertices: Floats, faces: Facets, facets: Facets, own: Facets) -> Mesh:
     """Some facets with their vertices alone; `own` (V,) is -1 everywhere, and is so again afterwards."""
     new_faces = np.empty((facets.size, 3), np.int32)
     used = np.empty(3 * facets.size, np.int32)
@@ -155,4 +149,4 @@ def _submesh(vertices: Floats, faces: Facets, facets: Facets, own: Facets) -> tu
         for k in range(3):
             new_vertices[n, k] = vertices[used[n], k]
         own[used[n]] = -1
-    return new_vertices, new_faces
+    return Mesh(new_vertices, new_faces)

@@ -1,10 +1,8 @@
 """The arrangement of the rings of one layer: where bodies meet within a reach they share points and sides.
 
-Bodies that touch in a face have sides that lie on one another. Rounding moves these apart, or across each other, by units in the
-last place; noding alone would leave slits of no width between them. So points of different bodies within the reach of one
-another become one point, sides pass through every point of another body within their reach, and what is then passed once each
-way is no border. Within a body nothing is moved: a groove just above its ground is a groove, however narrow. Bodies are told apart
-by the sheets of their surface.
+Rounding moves sides of bodies that touch apart, or across each other. So points of different bodies within reach become one, sides
+pass through every point of another body within reach, and what is passed once each way is no border. Within a body, told by the sheets
+of its surface, nothing is moved: a groove is a groove, however narrow.
 """
 
 from __future__ import annotations
@@ -16,7 +14,7 @@ import shapely
 from numpy.typing import NDArray
 
 from ebamcheck.kernels import Bools, Floats, Ints, kernel
-from ebamcheck.layers.stack import Layers
+from ebamcheck.layers.stack import Layers, canonical
 from ebamcheck.mesh.topology import edge_groups
 from ebamcheck_planecut.overlaps import NESTED_WRONG, kept_rings
 
@@ -34,10 +32,7 @@ class Arrangement(NamedTuple):
 
 
 def arrangement(layer: Layers, reach_mm: float, sheets: Index) -> Arrangement:
-    """Return the arrangement of all closed rings of a layer (a stack of length 1), whose points may be off by the reach.
-
-    `sheets` (V,) has the sheet of each vertex of the mesh.
-    """
+    """Return the arrangement of all closed rings of a layer, whose points may be off by the reach; `sheets` (V,) are of the mesh."""
     assert layer.edge is not None
     # A point, and a side, of which one end belongs to a single sheet lies on that one.
     sheet = sheets[layer.edge].max(axis=1)
@@ -136,8 +131,7 @@ def _through_points(
 def sheets_of_vertices(faces: NDArray[np.int32], count: int) -> NDArray[np.int32]:
     """Return the sheet (V,) of each of `count` vertices: that of all facets at it; :data:`SEVERAL` where they differ or lack.
 
-    Sheets are facets that hang together across edges at which exactly two of them meet. A body that touches no other one is a
-    sheet. Where welded bodies share an edge, more than two facets meet there, and sheets end.
+    Sheets are facets that hang together across edges at which exactly two of them meet.
     """
     # Few meshes need them, and loading them takes longer than slicing a small part.
     from scipy.sparse import coo_array
@@ -156,13 +150,11 @@ def sheets_of_vertices(faces: NDArray[np.int32], count: int) -> NDArray[np.int32
     return result
 
 
-def unite(
-    layer: Layers, kind: int, reach_mm: float, sheets: NDArray[np.int32]
-) -> tuple[Floats, Ints, Bools, NDArray[np.int32], Floats] | None:
+def unite(layer: Layers, kind: int, reach_mm: float, sheets: NDArray[np.int32]) -> Layers | None:
     """Unite the shells of one layer (a stack of length 1) by the rule winding > 0; bodies that touch along a line are one.
 
-    The result has the columns points, ring_starts, closed, edge and edge_t, open paths included; points that the union made
-    (crossings) have edge -1 and parameter NaN. It is None if nothing changes. `sheets` are read only where rings touch or cross.
+    Points that the union made have edge -1 and parameter NaN. The result is None if nothing changes. `sheets` are read only where
+    rings touch or cross.
     """
     assert layer.edge is not None
     assert layer.edge_t is not None
@@ -171,7 +163,9 @@ def unite(
         rows = np.repeat(keep, np.diff(layer.ring_starts))
         sizes = np.diff(layer.ring_starts)[keep]
         starts = np.concatenate([[0], np.cumsum(sizes)])
-        return layer.points[rows], starts, layer.closed[keep], layer.edge[rows], layer.edge_t[rows]
+        return _canonical(
+            layer, layer.points[rows], starts, layer.closed[keep], layer.edge[rows], layer.edge_t[rows]
+        )
     found = arrangement(layer, reach_mm, sheets)
     if not found.seams and np.isin(found.winding, (0, 1)).all():
         return None
@@ -186,8 +180,18 @@ def unite(
     points = np.concatenate(paths) if paths else np.zeros((0, 2))
     starts = np.concatenate([[0], np.cumsum([len(path) for path in paths])]).astype(np.int64)
     closed = np.arange(len(paths)) < len(rings)
-    edge, edge_t = _known_edges(points, layer)
-    return points, starts, closed, edge, edge_t
+    return _canonical(layer, points, starts, closed, *_known_edges(points, layer))
+
+
+def _canonical(
+    layer: Layers, points: Floats, starts: Ints, closed: Bools, edge: Index, edge_t: Floats
+) -> Layers:
+    """Put other rings in place of those of a layer."""
+    labels = {name: getattr(layer, name) for name in ("part", "direction", "backend", "settings")}
+    again = canonical(
+        layer.heights, points, starts, [0, closed.size], closed, edge=edge, edge_t=edge_t, **labels
+    )
+    return again.labelled(dropped=again.dropped + layer.dropped)
 
 
 def _known_edges(points: Floats, layer: Layers) -> tuple[NDArray[np.int32], Floats]:

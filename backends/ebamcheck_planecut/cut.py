@@ -11,13 +11,13 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from ebamcheck.backend import BackendSettings, Progress
-from ebamcheck.layers.stack import Layers, canonical, concatenate
+from ebamcheck.backend import BackendSettings, Progress, labels_of
+from ebamcheck.layers.stack import Layers, concatenate
 from ebamcheck.mesh.part import Part
 from ebamcheck.threads import run_blocks, run_each
 from ebamcheck_planecut import PlaneCut
 from ebamcheck_planecut.overlaps import CLEAN, TOUCHING
-from ebamcheck_planecut.sorted_mesh import SortedMesh, crossed_mesh, sorted_mesh, turned_mesh, vertices_under
+from ebamcheck_planecut.sorted_mesh import SortedMesh, crossed_mesh, sorted_mesh, vertices_under
 from ebamcheck_planecut.sweep import Block, Columns, cut_block
 
 Sheets = Callable[[], NDArray[np.int32]]
@@ -30,9 +30,8 @@ LONE_LAYERS = 8
 class PreparedCut:
     """The part's mesh sorted by height, with the neighbours of every facet; cuts any block of layers.
 
-    `before` is a sorted mesh with the same `faces` and other vertex coordinates, whose neighbours are valid here, too; if given, this
-    mesh is sorted only after more than :data:`LONE_LAYERS` layers were requested. `sheets` gives the sheet of each vertex, if
-    another part with the same `faces` has been prepared.
+    With `before`, a sorted mesh with the same `faces`, this one is sorted only after more than :data:`LONE_LAYERS` layers were
+    requested. `sheets` gives the sheet of each vertex.
     """
 
     def __init__(
@@ -68,7 +67,7 @@ class PreparedCut:
         with self._lock:
             self._lone_layers += heights.size
             if self._mesh is None and self._before is not None and self._lone_layers > LONE_LAYERS:
-                self._mesh = turned_mesh(self._part, self._before)
+                self._mesh = sorted_mesh(self._part, self._before)
             mesh = self._mesh
         return _while_hashed(self._part, lambda: crossed_mesh(self._part, heights)) if mesh is None else mesh
 
@@ -117,10 +116,7 @@ class PreparedCut:
             closed=np.concatenate([np.zeros(0, np.bool_), *(cut.closed for cut in blocks)]),
             edge=columns.edge[:filled],
             edge_t=columns.edge_t[:filled],
-            part=self._part.sha256,
-            direction=self._part.direction,
-            backend="planecut",
-            settings=self._settings.model_dump(),
+            **labels_of(self._part, PlaneCut.name, self._settings.model_dump()),
             dropped=np.concatenate([np.zeros(0, np.int64), *(cut.dropped for cut in blocks)]),
         )
 
@@ -159,9 +155,10 @@ def _united(layers: Layers, kinds: NDArray[np.int8], reach_mm: float, sheets: Sh
     doubtful = np.flatnonzero(kinds != CLEAN).tolist()
     if not doubtful:
         return layers
-    sheet = sheets() if (kinds == TOUCHING).any() else np.zeros(0, np.int32)
+    from ebamcheck_planecut.arrangement import unite
 
-    found = run_each(lambda k: _resolved(layers.block(k, k + 1), int(kinds[k]), reach_mm, sheet), doubtful)
+    sheet = sheets() if (kinds == TOUCHING).any() else np.zeros(0, np.int32)
+    found = run_each(lambda k: unite(layers.block(k, k + 1), int(kinds[k]), reach_mm, sheet), doubtful)
     blocks: list[Layers] = []
     done = 0
     for k, one in zip(doubtful, found, strict=True):
@@ -169,18 +166,3 @@ def _united(layers: Layers, kinds: NDArray[np.int8], reach_mm: float, sheets: Sh
             blocks += [layers.block(done, k), one]
             done = k + 1
     return concatenate([*blocks, layers.block(done, len(layers))]) if blocks else layers
-
-
-def _resolved(one: Layers, kind: int, reach_mm: float, sheet: NDArray[np.int32]) -> Layers | None:
-    """Unite the shells of a single layer; None where nothing changes."""
-    from ebamcheck_planecut.arrangement import unite
-
-    resolved = unite(one, kind, reach_mm, sheet)
-    if resolved is None:
-        return None
-    points, ring_starts, closed, edge, edge_t = resolved
-    again = canonical(
-        one.heights, points, ring_starts, [0, closed.size], closed, edge=edge, edge_t=edge_t,
-        part=one.part, direction=one.direction, backend=one.backend, settings=one.settings,
-    )  # fmt: skip
-    return again.labelled(dropped=again.dropped + one.dropped)

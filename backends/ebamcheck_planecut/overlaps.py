@@ -1,9 +1,7 @@
 """Layers with winding numbers other than 0 and 1: those whose rings meet, or are nested wrongly.
 
-A tree of boxes over the segments of a layer finds whether any two of them meet within a reach. Leaves are short runs of
-consecutive segments; inner nodes join neighbours. A run that is monotone in x and in y does not meet itself; nor do two
-consecutive runs that are monotone in the same directions. A contour rarely reverses in x or y, so only a small part of it remains
-to be tested. For a layer whose rings neither touch nor cross, as nearly all layers of nearly all parts, their nesting decides.
+A tree of boxes over runs of segments finds whether any two meet within a reach. A run that is monotone in x and in y does not meet
+itself, nor do two consecutive runs that are monotone in the same directions. Where no rings meet, their nesting decides.
 """
 
 from __future__ import annotations
@@ -57,7 +55,7 @@ def overlap_search(points: int, reach_mm: float) -> OverlapSearch:
         np.empty(leaves + 1, np.int64),
         np.empty(
             (512, 3), np.int32
-        ),  # fewer than three pairs wait per level of two nodes, with fewer than 64 levels
+        ),  # under three pairs wait per level of two nodes, and levels are under 64
         reach_mm,
         np.empty(points, np.int64),
         np.empty(points, np.int64),
@@ -71,11 +69,8 @@ def overlap_search(points: int, reach_mm: float) -> OverlapSearch:
 def classify_layer(
     points: Floats, ring_starts: Ints, closed: Bools, a: int, b: int, search: OverlapSearch
 ) -> int:
-    """Tell a clean layer from one with wrongly nested rings and from one with touching or crossing ones.
-
-    The layer has the rings ``[a, b)`` of a stack in canonical form, `search` room for its points; there `keep` is written for
-    its rings, unless they touch.
-    """
+    """Class of the layer with the rings ``[a, b)`` of a stack in canonical form: clean, nested wrongly, or with rings that touch
+    or cross. Unless they touch, `keep` of `search`, which has room for its points, is written for its rings."""
     if a == b:
         return CLEAN
     leaves = _grow(search, points, ring_starts, closed, a, b)
@@ -243,10 +238,7 @@ def _meet(points: Floats, a: int, b: int, c: int, d: int, reach_mm: float) -> bo
 def _all_kept(
     points: Floats, ring_starts: Ints, closed: Bools, a: int, b: int, search: OverlapSearch, leaves: int
 ) -> bool:
-    """Find which of the rings ``[a, b)``, which do not touch, separate solid from void under winding > 0.
-
-    A ring starts at its left end, and rings are sorted by their starts; so those around one begin before it.
-    """
+    """Find which of the rings ``[a, b)``, which do not touch, separate solid from void; those around one begin left of it."""
     result = True
     count, following = 0, a
     for r in range(a, b):
@@ -279,10 +271,7 @@ def _all_kept(
 def _encloses(
     search: OverlapSearch, leaf: int, points: Floats, ring_starts: Ints, r: int, x: float, y: float
 ) -> bool:
-    """Whether (x, y) lies inside ring `r`, whose leaves begin at node `leaf`; on its boundary it does not.
-
-    As :func:`ebamcheck.geometry.rings.locate`, but for the leaves beside which the point does not lie.
-    """
+    """Whether (x, y) lies inside ring `r`, whose leaves begin at node `leaf`; on its boundary it does not."""
     inside = False
     for i in range(ring_starts[r], ring_starts[r + 1], SEGMENTS_A_LEAF):
         if search.boxes[leaf, 1] <= y <= search.boxes[leaf, 3]:

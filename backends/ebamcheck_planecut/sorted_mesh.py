@@ -1,12 +1,7 @@
-"""A mesh in the order in which a rising plane meets it.
+"""A mesh in the order in which a rising plane meets it: vertices by height, facets by their lowest vertex.
 
-Vertices are sorted by height and facets by their lowest vertex. So whatever the order of the file, what a layer needs lies
-together in memory, and facets above a plane need not be examined. Of those below, whole runs that end under the plane are
-skipped.
-
-Neighbours of facets are found at the lower vertex of each edge. Facets begin with their lowest vertex and are sorted by it, so two edges
-of each are found there directly. The third edge begins at the middle vertex, which has a linked list of its facets. So no half-edges need
-sorting, and ranges of vertices can be shared among threads.
+Neighbours of facets are found at the lower vertex of each edge. Facets begin with their lowest vertex and are sorted by it, so two
+edges of each are found there; the third begins at the middle vertex, which has a linked list of its facets.
 """
 
 from __future__ import annotations
@@ -26,13 +21,10 @@ Levels = NDArray[np.uint8]
 
 # Facets of a run that is skipped as a whole: so many that testing all runs costs as little as going through one
 RUN = 256
-
 RUNS_A_BLOCK = 128
 FACETS_A_BLOCK = RUN * RUNS_A_BLOCK  # fewest runs, and facets, worth a thread
 FLAT = -1  # first corner of a facet that is left out
 VERTICES_A_BIN = 4  # mean number of vertices in a bin of the sort by height: few enough to sort by insertion
-
-
 # Most planes at a time, so that a level fits into a byte: the levels of a million facets then stay in a core's cache
 MOST_PLANES = 255
 
@@ -51,59 +43,8 @@ class SortedMesh(NamedTuple):
     around: Neighbours  # neighbours of the facets
 
 
-def sorted_mesh(part: Part) -> SortedMesh:
-    """Sort a part's mesh and find the neighbours of its facets."""
-    order = _sorted(part)
-    return _measured(order, neighbours(order.vertices, order.faces, order.first))
-
-
-def turned_mesh(part: Part, before: SortedMesh) -> SortedMesh:
-    """Sort a mesh with the facets of another one and other vertex coordinates; its neighbours are taken over."""
-    if before.around.fans:
-        return sorted_mesh(part)
-    order = _sorted(part)
-    place = np.empty(len(part.faces), np.int32)
-    place[order.numbers] = np.arange(len(order.numbers), dtype=np.int32)
-    moved = place[before.numbers]
-    turn = (before.begins + np.uint8(3) - order.begins[moved]) % np.uint8(3)
-    twin = np.empty_like(before.around.twin)
-    run_blocks(
-        lambda a, b: _move_twins(before.around.twin, moved, turn, twin, a, b),
-        len(order.faces),
-        FACETS_A_BLOCK,
-    )
-    return _measured(order, before.around._replace(twin=twin))
-
-
-def crossed_mesh(part: Part, heights: Floats) -> SortedMesh:
-    """Sort only the facets that some planes (L,), increasing, cross; at these heights the result is cut like the whole mesh.
-
-    Sorting a whole part by height pays off over many layers. A single layer, as when slicing directions are tried, needs only
-    the facets that it crosses. All facets around a cut edge are among these, in the same order as in the whole mesh, so the
-    traced contours are the same bit for bit.
-    """
-    level = np.empty(len(part.vertices), np.uint8)
-    run_blocks(lambda a, b: _levels(part.vertices, heights, level, a, b), level.size, FACETS_A_BLOCK)
-    crossed = np.concatenate(
-        run_blocks(lambda a, b: _across(part.faces, level, a, b), len(part.faces), FACETS_A_BLOCK)
-    )
-    corners, faces = np.unique(part.faces[crossed], return_inverse=True)
-    mesh = sorted_mesh(Part(part.vertices[corners], faces.reshape(-1, 3).astype(np.int32)))
-    mesh.vertices[:, 3] = corners[mesh.vertices[:, 3].astype(np.int64)]
-    return mesh._replace(numbers=crossed[mesh.numbers])
-
-
-class _Order(NamedTuple):
-    """Vertices by height, facets by their lowest vertex, with which they begin: columns of :class:`SortedMesh`."""
-
-    vertices: Floats
-    faces: Index
-    numbers: Index
-    begins: NDArray[np.uint8]
-    first: Index
-
-
-def _sorted(part: Part) -> _Order:
+def sorted_mesh(part: Part, before: SortedMesh | None = None) -> SortedMesh:
+    """Sort a part's mesh; its neighbours are found, or taken over from a mesh of the same facets with other vertex coordinates."""
     original = height_order(np.ascontiguousarray(part.vertices[:, 2]))
     count = original.size
     vertices, rank = np.empty((count, 4)), np.empty(count, np.int32)
@@ -118,24 +59,38 @@ def _sorted(part: Part) -> _Order:
     kept = int(first[-1])
     faces, numbers, begins = np.empty((kept, 3), np.int32), np.empty(kept, np.int32), np.empty(kept, np.uint8)
     run_blocks(lambda a, b: _take_lowest(ranked, first, faces, numbers, begins, a, b), count, share)
-    return _Order(vertices, faces, numbers, begins, first)
+    if before is None or before.around.fans:
+        around = neighbours(vertices, faces, first)
+    else:
+        twin, old = np.empty_like(before.around.twin), before
+        place = np.empty(len(part.faces), np.int32)
+        place[numbers] = np.arange(kept, dtype=np.int32)
+        moved = place[old.numbers]
+        turn = (old.begins + np.uint8(3) - begins[moved]) % np.uint8(3)
+        run_blocks(lambda a, b: _move_twins(old.around.twin, moved, turn, twin, a, b), kept, FACETS_A_BLOCK)
+        around = old.around._replace(twin=twin)
+    highest, tallest = np.empty(kept, np.int32), np.empty(-(-kept // RUN), np.int32)
+    run_blocks(lambda a, b: _measure_runs(faces, highest, tallest, a, b), tallest.size, RUNS_A_BLOCK)
+    crossed = _crossed(first, highest, around)
+    return SortedMesh(vertices, faces, numbers, begins, first, highest, tallest, crossed, around)
 
 
-def _measured(order: _Order, around: Neighbours) -> SortedMesh:
-    """Complete a sorted mesh with the highest vertices of facets and the numbers of points on planes."""
-    count = len(order.faces)
-    highest, tallest = np.empty(count, np.int32), np.empty(-(-count // RUN), np.int32)
-    run_blocks(lambda a, b: _measure_runs(order.faces, highest, tallest, a, b), tallest.size, RUNS_A_BLOCK)
-    crossed = _crossed(order.first, highest, around)
-    return SortedMesh(*order, highest, tallest, crossed, around)
+def crossed_mesh(part: Part, heights: Floats) -> SortedMesh:
+    """Sort only the facets that some planes (L,), increasing, cross; at these heights it is cut like the whole mesh, bit for bit."""
+    level = np.empty(len(part.vertices), np.uint8)
+    run_blocks(lambda a, b: _levels(part.vertices, heights, level, a, b), level.size, FACETS_A_BLOCK)
+    crossed = np.concatenate(
+        run_blocks(lambda a, b: _across(part.faces, level, a, b), len(part.faces), FACETS_A_BLOCK)
+    )
+    corners, faces = np.unique(part.faces[crossed], return_inverse=True)
+    mesh = sorted_mesh(Part(part.vertices[corners], faces.reshape(-1, 3).astype(np.int32)))
+    mesh.vertices[:, 3] = corners[mesh.vertices[:, 3].astype(np.int64)]
+    return mesh._replace(numbers=crossed[mesh.numbers])
 
 
 @kernel
 def height_order(z: Floats) -> Index:
-    """Vertices by z (V,), those of equal z in the order given.
-
-    Bins of equal height first, then each by itself: three passes for a part whose vertices are spread over its height.
-    """
+    """Vertices by z (V,), those of equal z in the order given: first by bins of equal height, then each bin by itself."""
     order = np.empty(z.size, np.int32)
     if z.size == 0:
         return order
@@ -212,10 +167,7 @@ def _take_lowest(
     start: int,
     stop: int,
 ) -> None:
-    """Put the facets whose lowest vertex is one of ``[start, stop)`` to their places, in the order that they have.
-
-    Each begins with that vertex, and its corners run the way they did.
-    """
+    """Put the facets whose lowest vertex, which comes first, is one of ``[start, stop)`` to their places, in their order."""
     fill = first[start:stop].copy()
     for f in range(ranked.shape[0]):
         a, b, c = ranked[f, 0], ranked[f, 1], ranked[f, 2]
@@ -235,11 +187,8 @@ def _take_lowest(
 def _move_twins(
     twin: Index, moved: Index, turn: NDArray[np.uint8], result: Index, start: int, stop: int
 ) -> None:
-    """Write the neighbours of the facets ``[start, stop)`` where all facets have other numbers and first corners.
-
-    `twin` (3 F,) is under the numbers that they had; `moved` and `turn` (F,) are the new number of each facet, and the new place
-    of the corner that stood first; `result` (3 F,) has the new twins.
-    """
+    """Write to `result` the twins (3 F,) of the facets ``[start, stop)`` under new numbers; `moved` and `turn` (F,) are
+    the new number of each facet, and the new place of the corner that stood first."""
     for f in range(start, stop):
         for i in range(3):
             across = twin[3 * f + i]
@@ -262,10 +211,7 @@ def _measure_runs(faces: Index, highest: Index, tallest: Index, start: int, stop
 
 @kernel
 def _crossed(first: Index, highest: Index, around: Neighbours) -> Ints:
-    """Count the points that the facets give to a plane above 0, 1, .. V vertices, (V + 1,).
-
-    A closed ring has a point a facet; an open path one more, which counts for the facets with an open half-edge.
-    """
+    """Count the points, (V + 1,), that the facets give to a plane above 0, 1, .. V vertices: one each, two at an open edge."""
     change = np.zeros(first.size, np.int64)
     low = 0
     for f in range(highest.size):
@@ -284,18 +230,7 @@ def _crossed(first: Index, highest: Index, around: Neighbours) -> Ints:
 @kernel
 def vertices_under(mesh: SortedMesh, heights: Floats) -> Index:
     """Vertices that do not lie above each of some rising heights, (L,)."""
-    result = np.empty(heights.size, np.int32)
-    low = 0
-    for n in range(heights.size):
-        high = mesh.vertices.shape[0]
-        while low < high:
-            middle = (low + high) // 2
-            if mesh.vertices[middle, 2] <= heights[n]:
-                low = middle + 1
-            else:
-                high = middle
-        result[n] = low
-    return result
+    return np.searchsorted(mesh.vertices[:, 2], heights, side="right").astype(np.int32)
 
 
 @kernel

@@ -1,9 +1,7 @@
 """The kernel that cuts a block of layers, and finishes each while its points are in the processor's cache.
 
-A vertex is *above* a plane if z > h; a facet is cut if it has vertices above and others. Every facet and every
-neighbour makes the same comparison, so that they agree on every cut, and the section is that of z = h + 0 exactly. As
-vertices stand by height, those from row `under` on are above. A cut point depends on the edge alone (from its lower to
-its upper vertex), so both facets of an edge get the same bits.
+A vertex is *above* a plane if z > h, those from row `under` on; a facet is cut if it has vertices above and others. So the section is
+that of z = h + 0 exactly. A cut point depends on the edge alone, so both facets of an edge get the same bits.
 """
 
 from __future__ import annotations
@@ -34,14 +32,12 @@ class Block(NamedTuple):
     layer_starts: Ints  # (L + 1,) first ring of each layer
     closed: NDArray[np.bool_]  # (R,) false for an open path
     dropped: Ints  # (L,) number of rings without area that were left out
-    kinds: NDArray[np.int8]
-    """(L,) class of each layer by :func:`~ebamcheck_planecut.overlaps.classify_layer`; all clean if not requested."""
+    kinds: NDArray[np.int8]  # (L,) class of each layer by `classify_layer`; all clean if not requested
 
 
+# Passes of the trace: open paths first, from the ends at which the section enters a facet, then, among flipped facets, from those
+# at which it leaves one, so that no walk starts in the middle of a path; closed rings last
 FROM_ENTRY, FROM_EXIT, RINGS = 0, 1, 2
-"""Passes of the trace. Open paths come first, from their ends, so that no walk starts in the middle of one. The usual start is
-an end at which the section enters a facet; one at which it leaves is a start only among flipped facets. Closed rings come
-last."""
 
 
 class Tracks(NamedTuple):
@@ -65,10 +61,9 @@ def cut_block(
     classify: bool,
     reach_mm: float,
 ) -> Block:
-    """Cut consecutive layers at increasing heights (L,) and write their rings in canonical form from `row` of the columns on.
+    """Cut layers at increasing heights (L,), over `under` (L,) vertices, and write their rings in canonical form from `row` on.
 
-    `under` (L,) has the vertices that do not lie above each layer, `seen` (F,) zeros, which are written over. With `classify`,
-    shells that overlap, or touch within the reach, are looked for.
+    `seen` (F,) has zeros. With `classify`, shells that overlap, or touch within the reach, are looked for.
     """
     room = mesh.crossed[under]
     total, most = int(room.sum()), int(room.max())
@@ -169,10 +164,7 @@ def _stands_before(points: Floats, forms: Ints, r: int, s: int) -> bool:
 def trace_layer(
     mesh: SortedMesh, h: float, under: int, active: Index, count: int, seen: Index, mark: int, track: Tracks
 ) -> int:
-    """Trace the rings and open paths of one layer, in the order of their first facets, solid on the left; returns their number.
-
-    The facets ``active[:count]`` are cut. The walk writes `mark` at each facet that it has passed in `seen` (F,).
-    """
+    """Trace the rings and open paths of one layer, which cuts the facets ``active[:count]``, solid on the left; returns their number."""
     rings = 0
     for phase in range(FROM_ENTRY if mesh.around.is_open else RINGS, RINGS + 1):
         forwards = phase != FROM_EXIT
@@ -205,10 +197,7 @@ def _walk(
     track: Tracks,
     first: int,
 ) -> int:
-    """Follow the section from facet to facet until it ends or closes; returns the row after its last point.
-
-    It begins in facet `f`, which it passes from its entry to its exit if `forwards`.
-    """
+    """Follow the section from facet `f`, passed from entry to exit if `forwards`, until it ends or closes; returns the row after it."""
     filled = first
     if not is_ring:
         low, high, _ = _left_by(mesh, f, under, not forwards)
@@ -253,8 +242,7 @@ def _walk(
 def _left_by(mesh: SortedMesh, f: int, under: int, forwards: bool) -> tuple[int, int, int]:
     """Lower and upper vertex of the edge by which facet `f` is left, and the half-edge across it.
 
-    The first corner is the lowest, and never above. Forwards, a facet is entered by the half-edge that runs down across the
-    plane and left by the one that runs up: with the normal outwards, the solid then lies to the left of the way.
+    Forwards, a facet is left by the half-edge that runs up across the plane: the solid then lies to the left of the way.
     """
     # Loads stand in the branches: the processor foretells these, and need not wait for what they depend on.
     if forwards:

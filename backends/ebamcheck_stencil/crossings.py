@@ -1,18 +1,13 @@
 """Crossings: the heights at which the ray of each pixel, going up, enters and leaves the solid.
 
-A fragment is a pair of pixel and facet: the pixel's ray meets the facet. Its height is interpolated in double precision
-from the very lattice triangle that was drawn, so it never leaves the facet, and the image of a closed
-surface stays closed: a pixel centre can be on the wrong side of a contour only if the lattice moved the
-contour over it. Overlapping bodies unite here, once for all heights: a crossing is where the winding number
-along the ray changes between 0 or less and 1 or more.
-
+A fragment is a pair of pixel and facet: the pixel's ray meets the facet, at a height interpolated in double precision from the very
+lattice triangle that was drawn. A crossing is where the winding number along the ray changes between 0 or less and 1 or more.
 A bitmap is a column of 64-bit words, a bit per pixel; a layer's bitmap is the one below it with the pixels flipped that change there.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -26,8 +21,7 @@ from ebamcheck_stencil.field_of_view import SUBPIXELS, WORD_BITS, FieldOfView
 SMALLEST_BLOCK = 65536  # fewest fragments or pixels worth a thread
 
 
-@dataclass(frozen=True)
-class Crossings:
+class Crossings(NamedTuple):
     """Where rays enter and leave the solid, sorted by pixel and then by height."""
 
     pixels: NDArray[np.uint32]  # (E,) `row * stride + column` in the field of view
@@ -65,7 +59,7 @@ def crossings_of_fragments(
     first_pixel = first_row * stride
 
     def resolve(start: int, stop: int) -> Crossings:
-        return Crossings(*_resolve(fragments, heights, signs, first_pixel + start, first_pixel + stop))
+        return _resolve(fragments, heights, signs, first_pixel + start, first_pixel + stop)
 
     return run_blocks(resolve, rows * stride, SMALLEST_BLOCK)
 
@@ -108,13 +102,9 @@ def _resolve(
     fragment_signs: NDArray[np.int8],
     start: int,
     stop: int,
-) -> tuple[NDArray[np.uint32], NDArray[np.float64], int]:
-    """Crossings of pixels ``start .. stop - 1`` and the number of rays that do not balance.
-
-    All fragments are looked through for those of these pixels: on many threads that takes less than one thread
-    takes to sort them all.
-    """
-    # Into the order of their pixels, by counting.
+) -> Crossings:
+    """Crossings of pixels ``start .. stop - 1``."""
+    # Into the order of their pixels, by counting. Each thread looks through all fragments: that takes less than one to sort them.
     starts = np.zeros(stop - start + 1, np.int64)
     for i in range(fragments.shape[0]):
         pixel = np.int64(fragments[i, 0]) - start
@@ -163,7 +153,7 @@ def _resolve(
                 out_heights[n] = heights[i]
                 n += 1
         unbalanced += winding != 0
-    return out_pixels[:n], out_heights[:n], unbalanced
+    return Crossings(out_pixels[:n], out_heights[:n], unbalanced)
 
 
 Words = NDArray[np.uint64]
@@ -181,14 +171,6 @@ def empty_bitmap(view: FieldOfView) -> Words:
     return np.zeros(view.height_px * view.stride_px // WORD_BITS, np.uint64)
 
 
-def flips_by_layer(crossings: Crossings, heights: NDArray[np.float64]) -> Flips:
-    """Assign crossings to the first layer at or above them; those above the last layer are left out.
-
-    A crossing exactly at the height of a layer counts as below it, so a layer shows the section at z = h + 0.
-    """
-    return Flips(*_flips_by_layer(crossings.pixels, crossings.heights, heights))
-
-
 @kernel
 def _bucket(height: float, lowest: float, per_mm: float, buckets: int) -> int:
     """Bucket of a height; it never falls where the height rises."""
@@ -199,14 +181,14 @@ def _bucket(height: float, lowest: float, per_mm: float, buckets: int) -> int:
 
 
 @kernel
-def _flips_by_layer(
-    pixels: NDArray[np.uint32], crossing_heights: NDArray[np.float64], heights: NDArray[np.float64]
-) -> tuple[NDArray[np.int64], NDArray[np.uint32]]:
-    """Counting sort of crossings by layer; layers are looked up in equal buckets of height."""
+def flips_by_layer(crossings: Crossings, heights: NDArray[np.float64]) -> Flips:
+    """Assign crossings to the first layer at or above them, so that it shows z = h + 0; those above the last are left out."""
+    # A counting sort by layer; layers are looked up in equal buckets of height.
+    pixels = crossings.pixels
     count = heights.size
     starts = np.zeros(count + 2, np.int64)
     if count == 0:
-        return starts[:1].copy(), np.empty(0, np.uint32)
+        return Flips(starts[:1].copy(), np.empty(0, np.uint32))
     buckets = 2 * count
     lowest = heights[0]
     extent = heights[count - 1] - lowest
@@ -218,7 +200,7 @@ def _flips_by_layer(
         first[b + 1] += first[b]
     layer = np.empty(pixels.size, np.int32)
     for i in range(pixels.size):
-        height = crossing_heights[i]
+        height = crossings.heights[i]
         b = _bucket(height, lowest, per_mm, buckets)
         low, high = first[b], first[b + 1]
         while low < high:
@@ -238,7 +220,7 @@ def _flips_by_layer(
         if k < count:
             flipped[place[k]] = pixels[i]
             place[k] += 1
-    return starts[: count + 1].copy(), flipped
+    return Flips(starts[: count + 1].copy(), flipped)
 
 
 @kernel
@@ -246,9 +228,3 @@ def flip(bitmap: Words, pixels: NDArray[np.uint32]) -> None:
     """Flip pixels of a bitmap in place."""
     for i in range(pixels.size):
         bitmap[pixels[i] >> np.uint32(6)] ^= np.uint64(1) << np.uint64(pixels[i] & np.uint32(63))
-
-
-def as_image(bitmap: Words, view: FieldOfView) -> NDArray[np.bool_]:
-    """The bitmap as an image (height, width), row 0 at the least y."""
-    bits = np.unpackbits(bitmap.astype("<u8").view(np.uint8), bitorder="little")
-    return bits.reshape(view.height_px, view.stride_px)[:, : view.width_px].astype(np.bool_)

@@ -1,8 +1,6 @@
 """The draw-once form: a single draw lists the facets that the ray of every pixel meets.
 
-The fragment shader only appends (pixel, facet) to a buffer, by an atomic counter. Heights and signs
-follow on the processor in double precision (:mod:`ebamcheck_stencil.crossings`); any height can be
-cut from them without drawing again.
+Heights and signs follow in double precision (:mod:`ebamcheck_stencil.crossings`); any height is cut without drawing again.
 """
 
 from __future__ import annotations
@@ -20,10 +18,8 @@ from ebamcheck.mesh.part import Part
 from ebamcheck.threads import block_edges, run_blocks, run_in_order
 from ebamcheck_stencil.crossings import (
     Crossings,
-    as_image,
     crossings_of_fragments,
     empty_bitmap,
-    flip,
     flips_by_layer,
     join,
 )
@@ -73,11 +69,8 @@ def draw_crossings(
 ) -> Crossings:
     """Draw a part once and find where the ray of each pixel enters and leaves the solid.
 
-    The field is drawn window by window where an image is limited to `largest_px` or the fragments do not
-    fit into `buffer_bytes`. A window keeps the rays of its pixels whole, so the result is the same for
-    any tiling.
-
-    :class:`BackendFailed` is raised where the fragments of a single pixel do not fit into the buffer.
+    The field is drawn in windows of at most `largest_px` a side whose fragments fit into `buffer_bytes`; the result does not depend
+    on them. :class:`BackendFailed` is raised where the fragments of a single pixel do not fit.
     """
     if not len(part.faces):
         return join([])
@@ -184,10 +177,10 @@ class DrawnOnce:
         """Cut at strictly increasing heights (L,), in any number of calls."""
         heights = np.ascontiguousarray(heights, dtype=np.float64)
         flips = flips_by_layer(self._crossings, heights)
-        words, row_words = empty_bitmap(self._view).size, self._view.stride_px // WORD_BITS
+        none, row_words = empty_bitmap(self._view).reshape(1, -1)[:0], self._view.stride_px // WORD_BITS
 
         def rings_between(start: int, stop: int) -> Rings:
-            return Rings(*contours_of_layers(flips, start, stop, words, row_words))
+            return contours_of_layers(flips, none, start, stop, row_words)
 
         edges = block_edges(heights.size, largest=LAYERS_AT_ONCE)
         found: list[Rings] = []
@@ -196,9 +189,3 @@ class DrawnOnce:
             if progress is not None:
                 progress(edges[len(found)] - first)
         return layers_of(heights, found, self._view, self._labels)
-
-    def bitmap(self, height_mm: float) -> NDArray[np.bool_]:
-        """Image (height, width) of the section at a height, row 0 at the least y."""
-        bitmap = empty_bitmap(self._view)
-        flip(bitmap, flips_by_layer(self._crossings, np.array([height_mm])).pixels)
-        return as_image(bitmap, self._view)

@@ -1,13 +1,7 @@
-"""Facets as the literal mode sends them: those that a ray can meet, from the top of the part downwards.
+"""Facets as the literal mode sends them: those that hold a pixel centre, in bands of height from the top of the part downwards.
 
-A facet that holds no pixel centre adds nothing to any count, and half of the facets of a fine mesh are such: they are
-smaller than a pixel, or lie between two rows of pixel centres. Where the near plane cuts a facet, the driver rounds
-the points of the cut, and what is left of it may reach a little beyond the facet; so those that only come near a
-centre are sent for the layers that cut them.
-
-The facets go to the device in bands of height: those above a layer are then the first of one list. Within a band they
-keep the order of the file, in which neighbours share vertices, so that the device moves a vertex once and not for
-each of its facets.
+Where the near plane cuts a facet, the driver rounds the points of the cut, so those that only come near a centre are sent for the
+layers that cut them. Within a band facets keep the order of the file, in which neighbours share vertices.
 """
 
 from __future__ import annotations

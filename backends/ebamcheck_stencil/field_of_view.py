@@ -1,17 +1,14 @@
 """The field of view: the grid of pixels over a part, and the lattice on which facets are drawn.
 
-Rasterisers move every vertex to a lattice of 1/256 pixel before they decide which pixel centres a facet
-covers. Vertices are put on that lattice here, in double precision and relative to the part's own corner, and
-reach the rasteriser through a viewport whose side is a power of two, where every step is exact in
-float32. So which facet covers which pixel is known exactly, is the same on every driver, and depends neither on
-how the field is tiled nor on how far the part lies from the origin.
+Rasterisers move every vertex to a lattice of 1/256 pixel. Vertices are put on it here, in double precision from the part's own corner,
+and drawn in a viewport whose side is a power of two, exact in float32: which facet covers which pixel is the same on every driver.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,11 +18,9 @@ from ebamcheck.mesh.part import Part
 SUBPIXELS = 256  # lattice steps in a pixel: the 8 bits of GL_SUBPIXEL_BITS that every desktop driver offers
 MARGIN_PX = 2  # empty pixels kept around the part, so that every contour closes inside the field of view
 
+# Place of the part's low corner within its pixel (golden-section fractions): parts are drawn in round numbers, and pixel centres would
+# lie on faces and 45 degree edges without it
 GRID_SHIFT_PX = (0.381966, 0.236068)
-"""Place of the part's low corner within its pixel (golden-section fractions, different in x and y).
-
-Parts are drawn in round numbers: without the shift, pixel centres would lie on faces and 45 degree edges.
-"""
 
 WORD_BITS = 64  # rows of bitmaps are padded to whole words of this size
 FINEST_AUTOMATIC_MM = 0.1  # the paper's pixel (section 2.2)
@@ -74,10 +69,7 @@ class FieldOfView:
 
 
 def automatic_pixel_mm(part: Part) -> float:
-    """Pixel side for a part: 0.1 mm or 1/1024 of its larger side in x and y, whichever is finer.
-
-    Where that would give more than 4096 pixels, 1/4096 of the larger side.
-    """
+    """Pixel side for a part: 0.1 mm or 1/1024 of its larger side in x and y, the finer one, but at least 1/4096 of it."""
     extent = float(part.size[:2].max())
     finest = min(FINEST_AUTOMATIC_MM, extent / FEWEST_AUTOMATIC_PX)
     return max(finest, extent / MOST_AUTOMATIC_PX) or FINEST_AUTOMATIC_MM
@@ -106,13 +98,10 @@ class Window:
         """Halve the rows or, of a single row, the columns; None for a single pixel."""
         if self.height > 1:
             low = self.height // 2
-            return (
-                Window(self.x, self.y, self.width, low),
-                Window(self.x, self.y + low, self.width, self.height - low),
-            )
+            return replace(self, height=low), replace(self, y=self.y + low, height=self.height - low)
         if self.width > 1:
             low = self.width // 2
-            return Window(self.x, self.y, low, 1), Window(self.x + low, self.y, self.width - low, 1)
+            return replace(self, width=low), replace(self, x=self.x + low, width=self.width - low)
         return None
 
 

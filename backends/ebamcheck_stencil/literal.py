@@ -1,11 +1,8 @@
-"""The paper's form: for every layer, draw the facets above it into a stencil buffer and keep which pixels are solid.
+"""The paper's form (section 2.2): for every layer, draw the facets above it into a stencil buffer and keep which pixels are solid.
 
-As in section 2.2 of the paper, the projection puts the near plane at the slice height, which clips what lies
-below; facets that are below it as a whole, and those that no ray meets, are not sent. A ray upwards adds 1 to the
-stencil at a facet that faces forward (normal up) and subtracts 1 at one that faces backward, in wrapping 8-bit
-arithmetic; pixels that end at 1 or 2 are solid. A compute shader packs them into bitmaps, a bit each, so that little is read back; contours of one block of
-layers are followed while the next is drawn. The stencil buffer is OpenGL's own, used through PyOpenGL on the context
-that moderngl opened, because moderngl has no stencil state.
+The near plane at the slice height clips what lies below. A ray upwards adds 1 to the stencil at a facet that faces forward (normal up)
+and subtracts 1 at one that faces backward, in wrapping 8-bit arithmetic; pixels that end at 1 or 2 are solid. A compute shader packs
+them into bitmaps; contours of one block of layers are followed while the next is drawn.
 """
 
 from __future__ import annotations
@@ -23,10 +20,10 @@ from ebamcheck.backend import Progress
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
 from ebamcheck.threads import run_blocks
-from ebamcheck_stencil.crossings import as_image, empty_bitmap
+from ebamcheck_stencil.crossings import Flips, empty_bitmap
 from ebamcheck_stencil.drawn_facets import drawn_facets
 from ebamcheck_stencil.field_of_view import SUBPIXELS, WORD_BITS, FieldOfView, windows
-from ebamcheck_stencil.marching_squares import Rings, contours_of_bitmaps, layers_of
+from ebamcheck_stencil.marching_squares import Rings, contours_of_layers, layers_of
 from ebamcheck_stencil.stencil_target import PACKED_BITS, Drawing, StencilTarget
 
 if TYPE_CHECKING:
@@ -35,9 +32,9 @@ if TYPE_CHECKING:
 # Height of the far plane above the part, over the part's height: nothing may be clipped there
 DEPTH_SLACK = 1.0 / 64.0
 
-LAYERS_AT_ONCE = 16
 # Most layers, and about the most bytes of bitmaps, that are drawn before they are read back
-BYTES_AT_ONCE = 2**24
+LAYERS_AT_ONCE, BYTES_AT_ONCE = 16, 2**24
+NO_FLIPS = Flips(np.zeros(1, np.int64), np.empty(0, np.uint32))
 DRAWS_AT_WORK = 2  # readings that the device is given at a time: it draws one while another is copied
 DRAWS_A_BLOCK = 8  # readings whose contours are followed together: few layers are not worth all threads
 BLOCKS_AT_WORK = 2  # blocks of bitmaps that are drawn or followed at a time
@@ -120,18 +117,8 @@ class LiteralSlices:
             found = [rings for block in blocks for rings in block.result()]
         return layers_of(heights, found, self._view, self._labels)
 
-    def bitmap(self, height_mm: float) -> NDArray[np.bool_]:
-        """Image (height, width) of the section at a height, row 0 at the least y."""
-        bitmaps = np.empty((1, self._bitmap_words), np.uint64)
-        for _ in self._draw(np.array([height_mm]), bitmaps):
-            pass
-        return as_image(bitmaps[0], self._view)
-
     def _draw(self, heights: NDArray[np.float64], bitmaps: NDArray[np.uint64]) -> Iterator[int]:
-        """Draw the bitmaps (heights, words) of a block of layers; yields how many more are there.
-
-        The device draws some while the ones before them are fetched.
-        """
+        """Draw the bitmaps (heights, words) of a block of layers; yields how many more are there. Some are drawn while others are fetched."""
         drawn = int(np.searchsorted(heights, self._top_mm, side="right")) if self._height_mm > 0.0 else 0
         bitmaps[drawn:] = 0
         edges = [*range(0, drawn, self._at_once), drawn]
@@ -174,6 +161,6 @@ class LiteralSlices:
         row_words = self._view.stride_px // WORD_BITS
 
         def rings_between(start: int, stop: int) -> Rings:
-            return Rings(*contours_of_bitmaps(bitmaps[start:stop], row_words))
+            return contours_of_layers(NO_FLIPS, bitmaps, start, stop, row_words)
 
         return run_blocks(rings_between, len(bitmaps))

@@ -1,12 +1,8 @@
 """Marching squares on bitmaps: contours half way between solid and empty pixel centres.
 
-A contour is followed with a solid pixel on its left and an empty one on its right; each step tests the two
-pixels ahead. Pixels that touch only at a corner stay separate (solid is 4-connected, empty 8-connected), the
-default of scikit-image's ``find_contours``. Points inside straight runs are left out: a run ends
-where the direction, one of eight, changes.
-
-Rings are found by their marks: pixels that differ from their right neighbours. Few pixels change from a layer to the
-next, and few are marked, so that marks follow the changes, and only words that have some are looked at.
+A contour is followed with a solid pixel on its left and an empty one on its right; each step tests the two pixels ahead. Pixels that
+touch only at a corner stay separate, as in scikit-image's ``find_contours``; points inside straight runs are left out. Rings are found
+by their marks, pixels that differ from their right neighbours, which follow the changes from layer to layer.
 """
 
 from __future__ import annotations
@@ -25,7 +21,6 @@ from ebamcheck_stencil.field_of_view import FieldOfView
 
 # Points for which room is made beyond those at hand, at least where more layers are to come; doubled as needed
 SPARE_POINTS = 2**22
-
 FIRST_POINTS = 4096
 FIRST_RINGS = 64  # initial sizes of the output columns; they grow as needed
 # Most points of contours for each pair of neighbours in a row of which exactly one is solid: itself, and both ends of a run along x after it
@@ -40,57 +35,48 @@ _RIGHT_X = np.array([0, 1, 0, -1])
 _RIGHT_Y = np.array([-1, 0, 1, 0])
 
 
+class Rings(NamedTuple):
+    """Rings of a block of layers, as marching squares finds them."""
+
+    points: NDArray[np.int32]  # (N, 2) half pixels from the centre of pixel (0, 0)
+    starts: NDArray[np.int64]  # (R + 1,) first point of each ring
+    least: NDArray[np.int64]  # (R,) row of each ring's lexicographically least point
+    counts: NDArray[np.int64]  # (L,) rings of each layer
+
+
 @kernel
 def contours_of_layers(
-    flips: Flips, start: int, stop: int, words: int, row_words: int
-) -> tuple[NDArray[np.int32], NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Contours of layers ``start .. stop - 1``, whose bitmaps have so many words: columns of :class:`~ebamcheck_stencil.marching_squares.Rings`.
+    flips: Flips, bitmaps: NDArray[np.uint64], start: int, stop: int, row_words: int
+) -> Rings:
+    """Contours of layers ``start .. stop - 1`` by their `bitmaps` (L, words).
 
-    The changes of the layers begin with a bitmap of which no pixel is solid.
+    Where L is 0, a bitmap of so many words, of which no pixel is solid, changes by the flips of one layer after another.
     """
+    drawn = bitmaps.shape[0] > 0
+    words = bitmaps.shape[1]
     bitmap = np.zeros(words, np.uint64)
-    flip(bitmap, flips.pixels[: flips.starts[start]])
     marks, busy, left = np.empty_like(bitmap), np.zeros((words + 63) // 64, np.uint64), np.zeros_like(bitmap)
-    _mark_edges(bitmap, marks, busy)
+    if not drawn:
+        flip(bitmap, flips.pixels[: flips.starts[start]])
+        _mark_edges(bitmap, marks, busy)
     points = np.empty((FIRST_POINTS, 2), np.int32)
     ends = np.zeros(FIRST_RINGS, np.int64)
     rings = int(np.int64(1))
     counts = np.zeros(stop - start, np.int64)
     for layer in range(start, stop):
-        changed = flips.pixels[flips.starts[layer] : flips.starts[layer + 1]]
-        flip(bitmap, changed)
-        _follow_changes(marks, busy, changed)
+        if drawn:
+            bitmap = bitmaps[layer]
+            _mark_edges(bitmap, marks, busy)
+        else:
+            changed = flips.pixels[flips.starts[layer] : flips.starts[layer + 1]]
+            flip(bitmap, changed)
+            _follow_changes(marks, busy, changed)
         before = rings
         points, ends, rings = _add_rings(
             bitmap, marks, busy, left, row_words, points, ends, rings, stop - layer
         )
         counts[layer - start] = rings - before
-    return points[: ends[rings - 1]], ends[:rings], _least_points(points, ends[:rings]), counts
-
-
-@kernel
-def contours_of_bitmaps(
-    bitmaps: NDArray[np.uint64], row_words: int
-) -> tuple[NDArray[np.int32], NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Contours of bitmaps (layers, words), as :func:`contours_of_layers` gives them."""
-    words = bitmaps.shape[1]
-    marks, busy, left = (
-        np.empty(words, np.uint64),
-        np.zeros((words + 63) // 64, np.uint64),
-        np.zeros(words, np.uint64),
-    )
-    points = np.empty((FIRST_POINTS, 2), np.int32)
-    ends = np.zeros(FIRST_RINGS, np.int64)
-    rings = int(np.int64(1))
-    counts = np.zeros(len(bitmaps), np.int64)
-    for layer in range(len(bitmaps)):
-        _mark_edges(bitmaps[layer], marks, busy)
-        before = rings
-        points, ends, rings = _add_rings(
-            bitmaps[layer], marks, busy, left, row_words, points, ends, rings, len(bitmaps) - layer
-        )
-        counts[layer] = rings - before
-    return points[: ends[rings - 1]], ends[:rings], _least_points(points, ends[:rings]), counts
+    return Rings(points[: ends[rings - 1]], ends[:rings], _least_points(points, ends[:rings]), counts)
 
 
 @kernel
@@ -105,11 +91,9 @@ def _add_rings(
     rings: int,
     layers: int,
 ) -> tuple[NDArray[np.int32], NDArray[np.int64], int]:
-    """Append the rings of a bitmap to the columns, which may grow.
+    """Append the rings of a bitmap to the columns, which grow by what the `layers` to come need if they are like this one.
 
-    `marks` are those of the bitmap, and `busy` has a bit for each of its words that may have some; `left` is room for marks that
-    no ring has passed, 0 before and after. With the `layers` still to come, itself included, columns grow by what these need if
-    they are like it, within bounds: memory that is not written to costs nothing, a copy does.
+    `busy` has a bit for each word of `marks` that may have some; `left`, 0 before and after, is for marks that no ring has passed.
     """
     size = ends[rings - 1]
     most = POINTS_PER_EDGE * _copy_marks(marks, busy, left)
@@ -257,29 +241,17 @@ def _walk(
 LEAST_PIXEL = 2.0**-40
 
 
-class Rings(NamedTuple):
-    """Rings of a block of layers, as marching squares finds them."""
-
-    points: NDArray[np.int32]  # (N, 2) half pixels from the centre of pixel (0, 0)
-    starts: NDArray[np.int64]  # (R + 1,) first point of each ring
-    least: NDArray[np.int64]  # (R,) row of each ring's lexicographically least point
-    counts: NDArray[np.int64]  # (L,) rings of each layer
-
-    def canonical_order(self) -> NDArray[np.int64]:
-        """Rings as they stand in :class:`Layers`: by layer, and there by their least points, of which no two are alike."""
-        layer = np.repeat(np.arange(len(self.counts)), self.counts)
-        return np.lexsort((self.points[self.least, 1], self.points[self.least, 0], layer))
-
-
 def layers_of(
     heights: NDArray[np.float64], found: Sequence[Rings], view: FieldOfView, labels: dict[str, Any]
 ) -> Layers:
     """Make layers at heights (L,) of the rings of their blocks, in canonical form.
 
-    No point of a bitmap's contours is passed twice, and every ring encloses a pixel, so that the form is a matter
-    of order alone; unless pixels are so small, and the part so far from the origin, that points fall together in mm.
+    No point is passed twice, and every ring encloses a pixel, so the form is a matter of order alone: by layer, and there by least
+    points; unless pixels are so small, and the part so far from the origin, that points fall together in mm.
     """
-    orders = [block.canonical_order() for block in found]
+    layer_of = [np.repeat(np.arange(len(block.counts)), block.counts) for block in found]
+    least = [block.points[block.least] for block in found]
+    orders = [np.lexsort((at[:, 1], at[:, 0], layer)) for at, layer in zip(least, layer_of, strict=True)]
     sizes = [np.diff(block.starts)[order] for block, order in zip(found, orders, strict=True)]
     ring_starts = np.concatenate([[0], np.cumsum(np.concatenate(sizes))]).astype(np.int64)
     first_rings = np.cumsum([0, *(len(order) for order in orders)]).tolist()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass
-from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 from ebamcheck.errors import BackendMissing
@@ -35,10 +34,7 @@ class Device:
 
 
 def open_context() -> moderngl.Context:
-    """Open a context without a window: by EGL, else by the platform's default way.
-
-    :class:`BackendMissing` gives every reason if there is none, or none that is sufficient.
-    """
+    """Open a context without a window, by EGL, else by the platform's default way; or raise with the reasons of both."""
     try:
         import moderngl
     except ImportError as error:
@@ -53,9 +49,7 @@ def open_context() -> moderngl.Context:
             continue
         bits = device(context).subpixel_bits
         if bits >= NEEDED_SUBPIXEL_BITS:
-            if (
-                way == "egl"
-            ):  # PyOpenGL, which the literal mode loads later, is to use the platform of the context
+            if way == "egl":  # PyOpenGL, which the literal mode loads later, is to use this platform, too
                 os.environ.setdefault("PYOPENGL_PLATFORM", "egl")
             return context
         context.release()
@@ -77,8 +71,3 @@ def device(context: moderngl.Context) -> Device:
         viewport_px=int(min(info["GL_MAX_VIEWPORT_DIMS"])),
         subpixel_bits=int(info["GL_SUBPIXEL_BITS"]),
     )
-
-
-def versions(found: Device) -> dict[str, str]:
-    """Versions of the bindings and of the driver."""
-    return {"moderngl": version("moderngl"), "PyOpenGL": version("PyOpenGL"), "GL_VERSION": found.gl_version}

@@ -4,24 +4,24 @@ from __future__ import annotations
 
 import logging
 import math
-from typing import Annotated, Any, ClassVar, Literal
+from importlib.metadata import version
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 
-from ebamcheck.backend import BackendSettings, CoplanarRule, Prepared, Probe
+from ebamcheck.backend import BackendSettings, CoplanarRule, Prepared, Probe, labels_of
 from ebamcheck.errors import BackendMissing, SettingsError
 from ebamcheck.mesh.part import Part
+from ebamcheck.mesh.topology import weld
 from ebamcheck.settings.base import Between
 from ebamcheck_stencil import opengl
 from ebamcheck_stencil.field_of_view import SUBPIXELS, WORD_BITS, FieldOfView, field_of_view
 
 log = logging.getLogger(__name__)
 
+# Greatest distance, px, of a point of a marching-squares cell from the nearest pixel centre of its own side: that of the middle
+# of the cut in a cell with three solid corners and an empty one, or the reverse
 CONTOUR_REACH_PX = math.sqrt(10.0) / 4.0
-"""Greatest distance, px, of a point of a marching-squares cell from the nearest pixel centre of its own side.
-
-The worst is the middle of the cut in a cell with three solid corners and an empty one, or the reverse.
-"""
 
 # Greatest distance, px, that a vertex, and with it a contour, moves onto the lattice
 LATTICE_MOVE_PX = math.sqrt(2.0) / (2.0 * SUBPIXELS)
@@ -32,7 +32,7 @@ FLOAT32_STEP = 2.0**-23
 FLOAT64_STEP = 2.0**-52
 
 
-class Settings(BackendSettings):
+class StencilSettings(BackendSettings):
     """Settings of the backend ``stencil``."""
 
     pixel_mm: Annotated[float, Between(1e-7, 1000.0)] | None = None
@@ -49,7 +49,7 @@ class Settings(BackendSettings):
     a bitmap."""
 
 
-def inside_rule(settings: Settings) -> str:
+def inside_rule(settings: StencilSettings) -> str:
     """Rule for the winding numbers that are solid, under these settings; the literal mode has the paper's."""
     return "1..2" if settings.mode == "literal" else Stencil.inside_rule
 
@@ -63,7 +63,7 @@ class Stencil:
     priority: ClassVar[int] = 10
     coplanar_rule: ClassVar[CoplanarRule] = "undefined"
     inside_rule: ClassVar[str] = "winding > 0"
-    Settings: ClassVar[type[BackendSettings]] = Settings
+    Settings: ClassVar[type[BackendSettings]] = StencilSettings
 
     def probe(self) -> Probe:
         """Open a context and report its renderer; never raises."""
@@ -73,7 +73,8 @@ class Stencil:
                 found = opengl.device(context)
             finally:
                 context.release()
-            return Probe(True, versions=opengl.versions(found), device=found.renderer)
+            versions = {name: version(name) for name in ("moderngl", "PyOpenGL")}
+            return Probe(True, versions={**versions, "GL_VERSION": found.gl_version}, device=found.renderer)
         except BackendMissing as error:
             return Probe(False, why=str(error), hint=opengl.INSTALL_HINT)
         except Exception as error:  # a driver's or a binding's own fault is a reason like any other
@@ -82,11 +83,10 @@ class Stencil:
     def error_bound_mm(self, part: Part, settings: BackendSettings) -> float:
         """Return the promised bound r, mm: sqrt(10)/4 pixel plus how far the lattice moves a contour.
 
-        It holds in draw-once mode on every layer that cuts no opening of the surface; in literal mode on
-        closed surfaces with winding numbers up to 2. Between bodies that touch along differently tessellated
-        faces, single pixel centres can fall into the gap that the lattice opens (at most 1/256 pixel wide).
+        It holds where no opening of the surface is cut; in literal mode on closed surfaces of winding numbers up to 2. Between
+        bodies that touch along differently tessellated faces, pixel centres can fall into a gap of at most 1/256 pixel.
         """
-        checked = _checked(settings)
+        checked = StencilSettings.own(settings, self.name)
         view = field_of_view(part, checked.pixel_mm)
         move_px = LATTICE_MOVE_PX
         if checked.mode == "literal":
@@ -95,34 +95,35 @@ class Stencil:
         return (CONTOUR_REACH_PX + move_px) * view.pixel_mm + 4.0 * FLOAT64_STEP * largest_mm
 
     def height_bound_mm(self, part: Part, settings: BackendSettings) -> float:
-        """Return the promised bound on the error of the height at which a layer is cut, mm.
-
-        Heights are interpolated in double precision; in literal mode the device clips in float32, about
-        the middle of the part.
-        """
+        """Return the rounding of heights, mm: double precision; in literal mode float32, about the part's middle."""
         largest_mm = float(np.abs(part.bounds[:, 2]).max())
         rounding = 8.0 * FLOAT64_STEP * largest_mm
-        if _checked(settings).mode == "literal":
+        if StencilSettings.own(settings, self.name).mode == "literal":
             rounding += 4.0 * FLOAT32_STEP * float(part.size[2])
         return rounding
 
     def prepare(self, part: Part, settings: BackendSettings) -> Prepared:
         """Draw the part (draw-once), or load it onto the device (literal).
 
-        Where rays meet an open surface (``unbalanced_pixels`` in the settings of the layers), the draw-once
-        form caps its openings and draws again; the literal mode counts what is there, as the paper does.
+        Where rays meet an open surface, the draw-once form caps its openings and draws again.
         """
         from ebamcheck_stencil.draw_once import DrawnOnce, draw_crossings
         from ebamcheck_stencil.openings import capped
 
-        checked = _checked(settings)
+        checked = StencilSettings.own(settings, self.name)
         view = field_of_view(part, checked.pixel_mm)
         context = opengl.open_context()
         try:
             found = opengl.device(context)
             _check_size(view, found, checked.mode)
             largest_px = min(found.texture_px, checked.max_texture_px or found.texture_px)
-            labels = _labels(part, view, checked, found)
+            shown = {
+                "pixel_mm": view.pixel_mm,
+                "inside_rule": inside_rule(checked),
+                "GL_RENDERER": found.renderer,
+                "GL_VERSION": found.gl_version,
+            }
+            labels = labels_of(part, self.name, {**checked.model_dump(), **shown})
             if checked.mode == "literal" and len(part.faces):
                 from ebamcheck_stencil.literal import LiteralSlices
 
@@ -145,13 +146,10 @@ class Stencil:
 
 def _warn_of_openings(part: Part) -> None:
     """Warn that the literal mode counts wrong where a ray passes a hole: like the paper's method it caps none."""
-    from ebamcheck_stencil.openings import border, is_closed
+    from ebamcheck_stencil.openings import border
 
-    if is_closed(part.faces):
-        return
-    edges = len(
-        border(np.unique(part.vertices + 0.0, axis=0, return_inverse=True)[1].reshape(-1)[part.faces])
-    )
+    # A part made from arrays may be unwelded.
+    edges = len(border(part.faces)) and len(border(weld(part.triangles)[1]))
     if edges:
         log.warning(
             "stencil: part %r has %d open or turned edges: in literal mode rays through them are counted as they are, "
@@ -159,13 +157,6 @@ def _warn_of_openings(part: Part) -> None:
             part.name,
             edges,
         )
-
-
-def _checked(settings: BackendSettings) -> Settings:
-    """Return the settings if they are this backend's own, else raise."""
-    if not isinstance(settings, Settings):
-        raise SettingsError(f"stencil: settings are {type(settings).__name__}: give Stencil.Settings")
-    return settings
 
 
 def _check_size(view: FieldOfView, found: opengl.Device, mode: str) -> None:
@@ -184,19 +175,3 @@ def _check_size(view: FieldOfView, found: opengl.Device, mode: str) -> None:
             f"viewport of {found.renderer}, {found.viewport_px}: give at least "
             f"{view.pixel_mm * larger / (found.viewport_px - WORD_BITS):.3g}"
         )
-
-
-def _labels(part: Part, view: FieldOfView, settings: Settings, found: opengl.Device) -> dict[str, Any]:
-    """Labels of the layers: the settings used, and the renderer."""
-    return {
-        "part": part.sha256,
-        "direction": part.direction,
-        "backend": Stencil.name,
-        "settings": {
-            **settings.model_dump(),
-            "pixel_mm": view.pixel_mm,
-            "inside_rule": inside_rule(settings),
-            "GL_RENDERER": found.renderer,
-            "GL_VERSION": found.gl_version,
-        },
-    }

@@ -61,10 +61,9 @@ void main() {{
 
 
 class StencilTarget:
-    """A framebuffer that is a stencil buffer, with the paper's counting switched on, and the packing of its pixels.
+    """A framebuffer that is a stencil buffer with the paper's counting, and the packing of its pixels.
 
-    It is not cleared for each layer, which would take longer than the packing: counts wrap around, and a layer's own
-    are what its draw has added to those before it.
+    It is not cleared for each layer, which would take longer: a layer's counts are what its draw has added to those before it.
     """
 
     def __init__(self, context: moderngl.Context, drawn: Sequence[Window], view: FieldOfView) -> None:
