@@ -1,9 +1,9 @@
 """What this code makes of a corpus of parts and settings: ``python -m benchmarks.golden FOLDER [BEFORE]``.
 
-Runs, verifications and single commands write into FOLDER, and their digests into ``FOLDER/golden.json``. With BEFORE, such a file of
-other code, the differences are printed, in three strengths: *bytes* of files, *numbers* of tables to nine digits, and *verdicts*
-(exit code, gates, checks, findings). A step that only moves code keeps all three; one that sums in another order keeps the last two.
-"""
+Runs, verifications and single commands write into FOLDER, and their digests into ``FOLDER/golden.json``. With BEFORE, such a file
+of other code, the differences are printed, in three strengths: *bytes* of files, *numbers* of tables to nine digits, and *verdicts*
+(exit code, gates, checks, findings). A step that only moves code keeps all three; one that sums in another order keeps the last
+two."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 """How soon a layer is published on its measured height: ``python -m benchmarks.live RUN --part PART``; tables in reports/live.
 
-A whole build against the beads of :mod:`ebamcheck.testing.played_control.program`, in one process: each time is from the line with the height to the
-answer, with every gate and everything on disk. The processor's time stands beside it, since others may work on the machine, too.
-"""
+A whole build against the beads of :mod:`ebamcheck.testing.played_control.program`, in one process: each time is from the line with
+the height to the answer, with every gate and everything on disk. The processor's time stands beside it, since others may work on
+the machine, too."""
 
 from __future__ import annotations
 

@@ -21,7 +21,8 @@ import numpy as np
 from ebamcheck.mesh.stl import write_triangles
 
 RADIUS_MM, CORNERS, LAYER_MM = 16.0, 48, 1.6755
-"""Radius and corners of the column, and about the height of a layer by default. A box would leave its corners bare, layer by layer."""
+"""Radius and corners of the column, and about the height of a layer by default. A box would leave its corners bare, layer by
+layer."""
 
 EVERY = 10
 """Memory is read after so many layers."""

@@ -1,4 +1,5 @@
-"""The referee: a second model of a layer's heat, against which plans are judged, by explicit finite differences of the heat content.
+"""The referee: a second model of a layer's heat, against which plans are judged, by explicit finite differences of the heat
+content.
 
 It shares nothing with the modes that plan: whole cells instead of cut ones, a moving beam instead of heated islands, data that
 depend on temperature, heat of fusion, evaporation, and radiation by T^4. It is slower and coarser in space; it shows the error of
@@ -28,7 +29,8 @@ from ebamcheck.settings.config import Config
 
 
 def beam_lines(plan: ScanPlan, config: Config) -> tuple[Floats, Floats, Floats]:
-    """Lines, and turns before those that they lead to, as the beam heats them: (n, 4) x0, y0, x1, y1, mm; begin and end (n,), s from 0 in every layer."""
+    """Lines, and turns before those that they lead to, as the beam heats them: (n, 4) x0, y0, x1, y1, mm; begin and end (n,), s
+    from 0 in every layer."""
     driven = scheduled(plan, config)
     lines, turn_mm = driven[["x0", "y0", "x1", "y1"]].to_numpy(), driven["turn_mm"].to_numpy()
     begin_s, end_s = driven["begin_s"].to_numpy(), driven["end_s"].to_numpy()

@@ -1,4 +1,5 @@
-"""Files that appear whole or not at all; and a file that a user names is a regular one: a folder, a pipe or a device is refused unopened."""
+"""Files that appear whole or not at all; and a file that a user names is a regular one: a folder, a pipe or a device is refused
+unopened."""
 
 from __future__ import annotations
 
@@ -66,7 +67,8 @@ KINDS = {
 
 
 def regular_file(path: str | Path, error: type[EbamcheckError] = InputError) -> Path:
-    """Return a path, without opening it, unless something else than a regular file, or a link to one, stands there: else raise `error`.
+    """Return a path, without opening it, unless something else than a regular file, or a link to one, stands there: else raise
+    `error`.
 
     What is missing, or must not be looked at, is told by whoever opens it.
 

@@ -135,7 +135,8 @@ class ReadTable(NamedTuple):
         return _values(self._column(name, kind)).copy()
 
     def nested(self, name: str, kind: pa.DataType) -> tuple[NDArray[Any], list[Ints]]:
-        """Flat values of a column of lists, those of the table where it has them as numpy does, and the starts of the lists of each level."""
+        """Flat values of a column of lists, those of the table where it has them as numpy does, and the starts of the lists of each
+        level."""
         items, starts, empty = self._column(name, kind), [], 0
         while isinstance(items, pa.ListArray | pa.LargeListArray):
             offsets = np.from_dlpack(items.offsets).astype(np.int64)

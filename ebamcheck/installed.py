@@ -1,4 +1,5 @@
-"""What is installed: entry points with their distributions, read once while they stay the same, and which of two with one name counts."""
+"""What is installed: entry points with their distributions, read once while they stay the same, and which of two with one name
+counts."""
 
 from __future__ import annotations
 
@@ -88,7 +89,8 @@ def broken(point: EntryPoint, why: str) -> BrokenPlugin:
 
 
 def sorted_out(points: Iterable[EntryPoint]) -> tuple[dict[str, EntryPoint], list[BrokenPlugin]]:
-    """One plugin a name: the house's own, else a stranger's whose distribution comes first by name; and those that bear the name of another."""
+    """One plugin a name: the house's own, else a stranger's whose distribution comes first by name; and those that bear the name of
+    another."""
     ranked = sorted(points, key=lambda p: (not is_house(p), distribution_of(p), str(p.value), str(p.name)))
     found: dict[str, EntryPoint] = {}
     left_out = []

@@ -8,7 +8,8 @@ from typing import Any
 
 
 def on_demand(package: str, homes: Mapping[str, str]) -> Callable[[str], Any]:
-    """Return the ``__getattr__`` of a package, by the modules in it in which its names live; ``module:name`` where they have another there.
+    """Return the ``__getattr__`` of a package, by the modules in it in which its names live; ``module:name`` where they have
+    another there.
 
     >>> find = on_demand("ebamcheck", {"InputError": "errors"})
     >>> find("InputError").__name__

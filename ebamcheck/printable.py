@@ -1,4 +1,5 @@
-"""What stands in messages: foreign text, which could tell a terminal to erase a line, made printable; and layers, which people count from 1."""
+"""What stands in messages: foreign text, which could tell a terminal to erase a line, made printable; and layers, which people
+count from 1."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""What a check came to: figure against limit, where it is worst, how much it matters, and what to do; gates and findings are checks, too."""
+"""What a check came to: figure against limit, where it is worst, how much it matters, and what to do; gates and findings are
+checks, too."""
 
 from __future__ import annotations
 

@@ -30,7 +30,8 @@ def thread_count() -> int:
 def run_blocks(
     work: Callable[[int, int], _Result], count: int, smallest: int = 1, a_thread: int = 4
 ) -> list[_Result]:
-    """Run ``work(start, stop)`` over blocks that cover ``range(count)``, `a_thread` for each thread, of `smallest` items at least; results in order."""
+    """Run ``work(start, stop)`` over blocks that cover ``range(count)``, `a_thread` for each thread, of `smallest` items at least;
+    results in order."""
     return list(run_in_order(work, block_edges(count, smallest, a_thread)))
 
 

@@ -109,7 +109,8 @@ def row_knots(grid: Grid, rows: RayColumns, columns: RayColumns) -> Knots:
 
 @kernel
 def column_knots(grid: Grid, rows: Knots, columns: RayColumns) -> tuple[Knots, Bools]:
-    """Crossed edges along columns, where the sides of a row's nodes differ from the next row's, and whether each enters the material."""
+    """Crossed edges along columns, where the sides of a row's nodes differ from the next row's, and whether each enters the
+    material."""
     row_starts, row_node = rows.starts, rows.node
     _, y0, cell, _, row_count = grid
     col_starts, col_along, col_facet, _ = columns
@@ -179,7 +180,8 @@ def _middle(
 
 @kernel
 def links(rows: Knots, columns: Knots, up: Bools, points: Floats) -> tuple[Ints, Ints]:
-    """Knot that follows each knot, material on the left, those of rows before those of columns; and column and row of the cell between.
+    """Knot that follows each knot, material on the left, those of rows before those of columns; and column and row of the cell
+    between.
 
     Where four knots meet, the cell is :data:`SADDLE`, and the shorter way is taken between their `points` (K, 2), mm. Three
     pointers, into the lower row, the upper row and the columns, sweep the cells of each band.

@@ -1,8 +1,8 @@
 """Where in-plane rays cross the contour: decided and located in float64 on the facets that Embree reports.
 
 A plane cuts each facet in a directed segment, material on its left; the segments of a closed mesh meet bit for bit. A ray crosses a
-segment whose ends lie on both sides of it, ends on the ray counting as below. The crossings that a ray must have are counted from the
-segments: it is cast until it has them, and where Embree reports one of coincident facets alone, intersected with the segments.
+segment whose ends lie on both sides of it, ends on the ray counting as below. The crossings that a ray must have are counted from
+the segments: it is cast until it has them, and where Embree reports one of coincident facets alone, intersected with the segments.
 """
 
 from __future__ import annotations
@@ -84,7 +84,8 @@ def sections_at(mesh: Mesh, z_mm: Floats) -> Sections:
 
 @kernel
 def rays_across(sections: Sections, axis: int, lines: Floats) -> tuple[Ints, Ints]:
-    """First ray, on equally spaced lines (R,), that each segment crosses, and the one after the last, (S,) each; numbered by height."""
+    """First ray, on equally spaced lines (R,), that each segment crosses, and the one after the last, (S,) each; numbered by
+    height."""
     segments, spacing = sections.segments, lines[1] - lines[0]
     begins, ends = np.empty(len(segments), np.int64), np.empty(len(segments), np.int64)
     for f in range(sections.first.size):

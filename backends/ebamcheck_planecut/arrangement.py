@@ -1,9 +1,8 @@
 """The arrangement of the rings of one layer: where bodies meet within a reach they share points and sides.
 
 Rounding moves sides of bodies that touch apart, or across each other. So points of different bodies within reach become one, sides
-pass through every point of another body within reach, and what is passed once each way is no border. Within a body, told by the sheets
-of its surface, nothing is moved: a groove is a groove, however narrow.
-"""
+pass through every point of another body within reach, and what is passed once each way is no border. Within a body, told by the
+sheets of its surface, nothing is moved: a groove is a groove, however narrow."""
 
 from __future__ import annotations
 
@@ -32,7 +31,8 @@ class Arrangement(NamedTuple):
 
 
 def arrangement(layer: Layers, reach_mm: float, sheets: Index) -> Arrangement:
-    """Return the arrangement of all closed rings of a layer, whose points may be off by the reach; `sheets` (V,) are of the mesh."""
+    """Return the arrangement of all closed rings of a layer, whose points may be off by the reach; `sheets` (V,) are of the
+    mesh."""
     assert layer.edge is not None
     # A point, and a side, of which one end belongs to a single sheet lies on that one.
     sheet = sheets[layer.edge].max(axis=1)

@@ -76,7 +76,8 @@ def sorted_mesh(part: Part, before: SortedMesh | None = None) -> SortedMesh:
 
 
 def crossed_mesh(part: Part, heights: Floats) -> SortedMesh:
-    """Sort only the facets that some planes (L,), increasing, cross; at these heights it is cut like the whole mesh, bit for bit."""
+    """Sort only the facets that some planes (L,), increasing, cross; at these heights it is cut like the whole mesh, bit for
+    bit."""
     level = np.empty(len(part.vertices), np.uint8)
     run_blocks(lambda a, b: _levels(part.vertices, heights, level, a, b), level.size, FACETS_A_BLOCK)
     crossed = np.concatenate(

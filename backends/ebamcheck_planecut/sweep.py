@@ -1,8 +1,7 @@
 """The kernel that cuts a block of layers, and finishes each while its points are in the processor's cache.
 
-A vertex is *above* a plane if z > h, those from row `under` on; a facet is cut if it has vertices above and others. So the section is
-that of z = h + 0 exactly. A cut point depends on the edge alone, so both facets of an edge get the same bits.
-"""
+A vertex is *above* a plane if z > h, those from row `under` on; a facet is cut if it has vertices above and others. So the section
+is that of z = h + 0 exactly. A cut point depends on the edge alone, so both facets of an edge get the same bits."""
 
 from __future__ import annotations
 
@@ -164,7 +163,8 @@ def _stands_before(points: Floats, forms: Ints, r: int, s: int) -> bool:
 def trace_layer(
     mesh: SortedMesh, h: float, under: int, active: Index, count: int, seen: Index, mark: int, track: Tracks
 ) -> int:
-    """Trace the rings and open paths of one layer, which cuts the facets ``active[:count]``, solid on the left; returns their number."""
+    """Trace the rings and open paths of one layer, which cuts the facets ``active[:count]``, solid on the left; returns their
+    number."""
     rings = 0
     for phase in range(FROM_ENTRY if mesh.around.is_open else RINGS, RINGS + 1):
         forwards = phase != FROM_EXIT
@@ -197,7 +197,8 @@ def _walk(
     track: Tracks,
     first: int,
 ) -> int:
-    """Follow the section from facet `f`, passed from entry to exit if `forwards`, until it ends or closes; returns the row after it."""
+    """Follow the section from facet `f`, passed from entry to exit if `forwards`, until it ends or closes; returns the row after
+    it."""
     filled = first
     if not is_ring:
         low, high, _ = _left_by(mesh, f, under, not forwards)

@@ -1,4 +1,5 @@
-"""The program PrusaSlicer as a slicer: an independent check, read from the images that it writes for printers that cure a layer at a time.
+"""The program PrusaSlicer as a slicer: an independent check, read from the images that it writes for printers that cure a layer at
+a time.
 
 In these a pixel is white if material covers half of it; the paths of its G-code are offset inwards.
 """

@@ -1,4 +1,5 @@
-"""Images of layers in an SL1 archive, a zip file with a grey PNG image for each, 255 where there is material; and their contours."""
+"""Images of layers in an SL1 archive, a zip file with a grey PNG image for each, 255 where there is material; and their
+contours."""
 
 from __future__ import annotations
 
@@ -48,7 +49,8 @@ def solid_pixels(png: bytes) -> Bits:
 
 
 def contours(solid: Bits) -> list[Floats]:
-    """Rings (n, 2), closed, half way between solid and empty pixel centres, solid on the left, in pixels from the image's corner."""
+    """Rings (n, 2), closed, half way between solid and empty pixel centres, solid on the left, in pixels from the image's
+    corner."""
     from skimage.measure import find_contours
 
     rows, columns = np.flatnonzero(solid.any(axis=1)), np.flatnonzero(solid.any(axis=0))

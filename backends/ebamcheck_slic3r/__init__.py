@@ -56,7 +56,8 @@ TROUBLE = ("overlapping or self-intersecting facets", "Unable to close this loop
 
 
 class Slic3r:
-    """Slices that Slic3r exports, its loops united; open meshes and parts of negative volume, which it mends silently, are refused."""
+    """Slices that Slic3r exports, its loops united; open meshes and parts of negative volume, which it mends silently, are
+    refused."""
 
     name: ClassVar[str] = "slic3r"
     summary: ClassVar[str] = "witness: the program Slic3r (SVG export); refuses open meshes"

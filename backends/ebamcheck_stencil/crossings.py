@@ -1,8 +1,8 @@
 """Crossings: the heights at which the ray of each pixel, going up, enters and leaves the solid.
 
 A fragment is a pair of pixel and facet: the pixel's ray meets the facet, at a height interpolated in double precision from the very
-lattice triangle that was drawn. A crossing is where the winding number along the ray changes between 0 or less and 1 or more.
-A bitmap is a column of 64-bit words, a bit per pixel; a layer's bitmap is the one below it with the pixels flipped that change there.
+lattice triangle that was drawn. A crossing is where the winding number along the ray changes between 0 or less and 1 or more. A
+bitmap is a column of 64-bit words, a bit per pixel; a layer's bitmap is the one below it with the pixels flipped that change there.
 """
 
 from __future__ import annotations

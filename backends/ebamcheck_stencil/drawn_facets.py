@@ -112,7 +112,8 @@ def _choose(
     reach: NDArray[np.uint8],
     extents: NDArray[np.float32],
 ) -> None:
-    """Tell of facets ``start .. stop - 1`` whether they hold a pixel centre or come within `slack` lattice steps of one, and their heights."""
+    """Tell of facets ``start .. stop - 1`` whether they hold a pixel centre or come within `slack` lattice steps of one, and their
+    heights."""
     for i in range(start, stop):
         a, b, c = faces[i, 0], faces[i, 1], faces[i, 2]
         extents[i, 0] = min(heights[a], heights[b], heights[c])

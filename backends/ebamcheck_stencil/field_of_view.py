@@ -1,8 +1,8 @@
 """The field of view: the grid of pixels over a part, and the lattice on which facets are drawn.
 
-Rasterisers move every vertex to a lattice of 1/256 pixel. Vertices are put on it here, in double precision from the part's own corner,
-and drawn in a viewport whose side is a power of two, exact in float32: which facet covers which pixel is the same on every driver.
-"""
+Rasterisers move every vertex to a lattice of 1/256 pixel. Vertices are put on it here, in double precision from the part's own
+corner, and drawn in a viewport whose side is a power of two, exact in float32: which facet covers which pixel is the same on every
+driver."""
 
 from __future__ import annotations
 

@@ -1,9 +1,8 @@
 """The paper's form (section 2.2): for every layer, draw the facets above it into a stencil buffer and keep which pixels are solid.
 
-The near plane at the slice height clips what lies below. A ray upwards adds 1 to the stencil at a facet that faces forward (normal up)
-and subtracts 1 at one that faces backward, in wrapping 8-bit arithmetic; pixels that end at 1 or 2 are solid. A compute shader packs
-them into bitmaps; contours of one block of layers are followed while the next is drawn.
-"""
+The near plane at the slice height clips what lies below. A ray upwards adds 1 to the stencil at a facet that faces forward (normal
+up) and subtracts 1 at one that faces backward, in wrapping 8-bit arithmetic; pixels that end at 1 or 2 are solid. A compute shader
+packs them into bitmaps; contours of one block of layers are followed while the next is drawn."""
 
 from __future__ import annotations
 
@@ -118,7 +117,8 @@ class LiteralSlices:
         return layers_of(heights, found, self._view, self._labels)
 
     def _draw(self, heights: NDArray[np.float64], bitmaps: NDArray[np.uint64]) -> Iterator[int]:
-        """Draw the bitmaps (heights, words) of a block of layers; yields how many more are there. Some are drawn while others are fetched."""
+        """Draw the bitmaps (heights, words) of a block of layers; yields how many more are there. Some are drawn while others are
+        fetched."""
         drawn = int(np.searchsorted(heights, self._top_mm, side="right")) if self._height_mm > 0.0 else 0
         bitmaps[drawn:] = 0
         edges = [*range(0, drawn, self._at_once), drawn]

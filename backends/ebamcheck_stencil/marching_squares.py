@@ -1,9 +1,8 @@
 """Marching squares on bitmaps: contours half way between solid and empty pixel centres.
 
-A contour is followed with a solid pixel on its left and an empty one on its right; each step tests the two pixels ahead. Pixels that
-touch only at a corner stay separate, as in scikit-image's ``find_contours``; points inside straight runs are left out. Rings are found
-by their marks, pixels that differ from their right neighbours, which follow the changes from layer to layer.
-"""
+A contour is followed with a solid pixel on its left and an empty one on its right; each step tests the two pixels ahead. Pixels
+that touch only at a corner stay separate, as in scikit-image's ``find_contours``; points inside straight runs are left out. Rings
+are found by their marks, pixels that differ from their right neighbours, which follow the changes from layer to layer."""
 
 from __future__ import annotations
 

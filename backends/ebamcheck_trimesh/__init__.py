@@ -139,7 +139,8 @@ class PreparedSections:
 
 
 def _refuse_touching(layers: Layers, reach_mm: float) -> None:
-    """Raise :class:`BackendFailed` where paths of a layer touch along a line, or one itself: there trimesh joins any two segments."""
+    """Raise :class:`BackendFailed` where paths of a layer touch along a line, or one itself: there trimesh joins any two
+    segments."""
     import shapely
 
     for k in range(len(layers)):

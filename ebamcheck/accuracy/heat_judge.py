@@ -1,8 +1,9 @@
-"""One layer judged: how warm its islands are when the beam enters them, by 3DThesis and by our own model, both linear and cold at first.
+"""One layer judged: how warm its islands are when the beam enters them, by 3DThesis and by our own model, both linear and cold at
+first.
 
-3DThesis heats a half space, so that ranks and ratios of orders compare, and rises until heat comes to the sides; with mirrors a box, the body
-of our model for a rectangle on an insulated base. It heats line by line: where the beam enters beside what it has just laid, it finds more.
-"""
+3DThesis heats a half space, so that ranks and ratios of orders compare, and rises until heat comes to the sides; with mirrors a
+box, the body of our model for a rectangle on an insulated base. It heats line by line: where the beam enters beside what it has
+just laid, it finds more."""
 
 from __future__ import annotations
 
@@ -53,7 +54,8 @@ COLUMNS = {
 
 @dataclass(frozen=True, eq=False)
 class IslandVisits:
-    """When and where the beam enters the islands of a path that have beads (E,), in its order; `beam_s` is the time with the beam on, by power."""
+    """When and where the beam enters the islands of a path that have beads (E,), in its order; `beam_s` is the time with the beam
+    on, by power."""
 
     island: Ints
     entered_s: Floats
@@ -130,7 +132,8 @@ class LayerCase:
         body: str = BODIES[0],
         places: int = PLACES,
     ) -> LayerCase:
-        """Case of one layer of any plan; without `curves` there are no contour beads, in place or time. About so many `places` make an island's mean."""
+        """Case of one layer of any plan; without `curves` there are no contour beads, in place or time. About so many `places` make
+        an island's mean."""
         for option, value, choices in (("--beads", beads, BEADS), ("--body", body, BODIES)):
             if value not in choices:
                 raise SettingsError(f"{option} {value!r}: choose from {', '.join(choices)}")
@@ -165,7 +168,8 @@ class LayerCase:
 def judge_layer(
     case: LayerCase, config: Config, progress: Callable[[int], None] = lambda done: None
 ) -> JudgedLayer:
-    """Judge one layer: its islands when the beam enters them, by 3DThesis and by our own model; `progress` is told how many are done."""
+    """Judge one layer: its islands when the beam enters them, by 3DThesis and by our own model; `progress` is told how many are
+    done."""
     owner, visits, islands = case.owner, case.visits, case.islands
     lasted = visits.left_s - visits.entered_s
     heat = island_heat(case.section, islands, visits.beam_s, lasted, config, case.height_mm, fine=True)
@@ -245,7 +249,8 @@ def rises_k(
     mirrors: thesis.Mirrors | None = None,
     progress: Callable[[int], None] = lambda done: None,
 ) -> Floats:
-    """Temperature rises (P,), K over ``process.ambient_temperature_k``, at places (P, 3), mm, each at the moment of its owner (E,), by 3DThesis.
+    """Temperature rises (P,), K over ``process.ambient_temperature_k``, at places (P, 3), mm, each at the moment of its owner (E,),
+    by 3DThesis.
 
     Raises BackendMissing where it is not installed, BackendFailed where it fails, or finds that a place was cooled.
     """

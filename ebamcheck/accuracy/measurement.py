@@ -1,4 +1,5 @@
-"""The distance of a slicer's layers from the truth, a model's exact sections; and what is measured, as data beside the baselines."""
+"""The distance of a slicer's layers from the truth, a model's exact sections; and what is measured, as data beside the
+baselines."""
 
 from __future__ import annotations
 
@@ -35,8 +36,8 @@ MEASURED, REFUSED = "measured", "refused"
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """A model made ready: the mesh that the slicers cut; heights (L,), middles of uniform layers and planes through level faces, and which are
-    which; exact sections of the model; and the depth (L,) that a section of the mesh may have against the exact one.
+    """A model made ready: the mesh that the slicers cut; heights (L,), middles of uniform layers and planes through level faces,
+    and which are which; exact sections of the model; and the depth (L,) that a section of the mesh may have against the exact one.
     """
 
     part: Part
@@ -71,7 +72,8 @@ def truth_of(model: Model, tolerance_mm: float, layers: int) -> Truth:
 
 
 def _level_planes(model: Model, part: Part) -> Floats:
-    """Heights of level faces on which mesh and model mean the same side of a step, which the rounding of vertices may have moved down."""
+    """Heights of level faces on which mesh and model mean the same side of a step, which the rounding of vertices may have moved
+    down."""
     z = part.vertices[:, 2][part.faces]
     levels = np.unique(z[(z == z[:, :1]).all(axis=1), 0])
     kept = []
@@ -90,7 +92,8 @@ def _sections(model: Model, heights: Floats) -> Layers:
 
 
 def _allowance(model: Model, exact: Layers, tolerance_mm: float) -> Floats:
-    """Depth that the mesh may have against the exact sections, (L,) mm: it lies about those between z - t and z + t, dilated by t."""
+    """Depth that the mesh may have against the exact sections, (L,) mm: it lies about those between z - t and z + t, dilated by
+    t."""
     pair, depth = Pair(0, 1, tolerance_mm, True, False), Figures._fields.index("depth")
     moved = []
     for side in (-1.0, 1.0):
@@ -100,7 +103,8 @@ def _allowance(model: Model, exact: Layers, tolerance_mm: float) -> Floats:
 
 
 def measure_outcome(truth: Truth, outcome: Outcome) -> Measured:
-    """Measure what a backend made of the truth's part at its heights; without a rule for layers in a vertex or face, these are left out."""
+    """Measure what a backend made of the truth's part at its heights; without a rule for layers in a vertex or face, these are left
+    out."""
     if outcome.file is None:
         return Measured(outcome.failure, outcome.why)
     judged = np.ones(truth.heights.size, np.bool_)

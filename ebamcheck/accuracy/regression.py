@@ -87,7 +87,8 @@ def run_regression(
     note: Note = lambda text: None,
     settings: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> Regression:
-    """Measure models x backends x settings, and hold them against the baselines of a folder; without names every-day models, available backends.
+    """Measure models x backends x settings, and hold them against the baselines of a folder; without names every-day models,
+    available backends.
 
     `settings` of a backend go on top of those of the matrix, and are held against the same baselines; `note` tells of them.
     """
@@ -176,7 +177,8 @@ def _measure(
 
 
 def updated(regression: Regression, mode: UpdateMode) -> list[Path]:
-    """Write the baselines of what failed, is new or vanished, or of all but crashes and what could not run; returns the files that changed."""
+    """Write the baselines of what failed, is new or vanished, or of all but crashes and what could not run; returns the files that
+    changed."""
     wanted = UPDATED_BY_FAILED if mode == "failed" else (*UPDATED_BY_FAILED, "same", "better")
     touched = [d.key for d in regression.differences if d.verdict in wanted]
     files = sorted({key.model for key in touched})

@@ -1,4 +1,5 @@
-"""Which slicers suit this machine: accuracy and speed of every one on a part, a choice by stated rules, and its section of the settings file."""
+"""Which slicers suit this machine: accuracy and speed of every one on a part, a choice by stated rules, and its section of the
+settings file."""
 
 from __future__ import annotations
 
@@ -237,7 +238,8 @@ def ranked(trials: Sequence[Trial]) -> list[Trial]:
 def write_choice(
     path: Path, machine: str, choice: Choice, trials: Sequence[Trial], circumstances: Mapping[str, Any]
 ) -> None:
-    """Write ``[machines."NAME"]`` with primary, required and provenance into a settings file, whole or not at all; all other sections stay.
+    """Write ``[machines."NAME"]`` with primary, required and provenance into a settings file, whole or not at all; all other
+    sections stay.
 
     In a ``pyproject.toml`` it goes under ``[tool.ebamcheck]``. `circumstances` are part, layers and tolerance of the trials.
     """

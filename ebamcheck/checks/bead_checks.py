@@ -1,7 +1,8 @@
 """Checks of the beads that a program lays: nothing left bare, no line missing, none laid twice; and the form of the hatch.
 
-A line that ends where it should not, or a block that is missing, leaves the metal of a layer within its limits more often than not: a
-pool is wider than the slip. The form shows it: lines to and fro are parallel and evenly apart. Beads that follow a wall have none."""
+A line that ends where it should not, or a block that is missing, leaves the metal of a layer within its limits more often than not:
+a pool is wider than the slip. The form shows it: lines to and fro are parallel and evenly apart. Beads that follow a wall have
+none."""
 
 from __future__ import annotations
 
@@ -77,7 +78,8 @@ def form_checks(nc: NCProgram, config: Config) -> list[Check]:
 
 
 def _whole_lines(nc: NCProgram) -> tuple[Ints, Ints, Floats]:
-    """Lines of straight hatch beads, parts at other power or wire taken together: first of each bead (P + 1,), first motion (n,), way (n, 2)."""
+    """Lines of straight hatch beads, parts at other power or wire taken together: first of each bead (P + 1,), first motion (n,),
+    way (n, 2)."""
     beads = nc.beads
     curved = beads.any(nc.kind[beads.rows] != STRAIGHT)
     mine = ~curved[beads.bead] & (nc.island[beads.rows] >= 0)
@@ -264,7 +266,8 @@ def line_checks(subject: Subject) -> list[Check]:
 
 
 def _spacing(subject: Subject) -> Check:
-    """Distance between neighbouring parallel lines that are driven one after the other, where nothing else covers what lies between."""
+    """Distance between neighbouring parallel lines that are driven one after the other, where nothing else covers what lies
+    between."""
     nc, config = subject.nc, subject.config
     moves = (nc.end[:, :2] != nc.start[:, :2]).any(axis=1)
     rows = np.flatnonzero(nc.deposit & (nc.island >= 0) & ~nc.turn & moves & (nc.lengths > 0.0))
@@ -430,8 +433,8 @@ def _nearest(nc: NCProgram, rows: Ints, place: BaseGeometry) -> int:
 def widest_part(
     region: BaseGeometry, segments: Floats, bead_width_mm: float, wider_than_mm: float = 0.0
 ) -> tuple[float, shapely.Polygon | None]:
-    """Diameter of the largest circle in a region, mm, that lies further than half a bead width from every segment (S, 4), and its part.
-    Where no circle is over `wider_than_mm`: that width, and None."""
+    """Diameter of the largest circle in a region, mm, that lies further than half a bead width from every segment (S, 4), and its
+    part. Where no circle is over `wider_than_mm`: that width, and None."""
     bare = bare_samples(region, segments, bead_width_mm)
     widest_mm, widest = wider_than_mm, None
     if bare.covered == 1.0:

@@ -1,4 +1,5 @@
-"""Checks of where and how beads start and end: power along ramps and their time, overlap of contours, wire drawn back, gaps ahead."""
+"""Checks of where and how beads start and end: power along ramps and their time, overlap of contours, wire drawn back, gaps
+ahead."""
 
 from __future__ import annotations
 
@@ -74,7 +75,8 @@ def bead_end_checks(nc: NCProgram, config: Config, shares: Floats) -> list[Check
 
 
 def _power(nc: NCProgram, config: Config, shares: Floats) -> Check:
-    """Power of every deposit against that of its layer, or what its wire needs; on ramps against the straight ramp, within half a step."""
+    """Power of every deposit against that of its layer, or what its wire needs; on ramps against the straight ramp, within half a
+    step."""
     process = config.process
     rows = np.flatnonzero(nc.deposit)
     share = nc.power_w[rows] / process.power_w
@@ -125,7 +127,8 @@ def ramp_power(nc: NCProgram, rows: Ints, config: Config) -> tuple[Floats, Float
 
 
 def ramp_check(nc: NCProgram, config: Config) -> Check:
-    """Check how long the beam of each bead rises and falls, by feed and length of its blocks, against the windows of the process."""
+    """Check how long the beam of each bead rises and falls, by feed and length of its blocks, against the windows of the
+    process."""
     process, rows = config.process, np.flatnonzero(nc.deposit)
     beads, power_w = nc.beads.among(rows), nc.power_w[rows]
     if not rows.size:

@@ -122,8 +122,8 @@ def row_faults(nc: NCProgram, rows: Bools | Ints, what: str, *values: ArrayLike)
 
 
 def event_faults(nc: NCProgram, *rules: tuple[Bools, str | Callable[[int], str]]) -> Faults:
-    """Events (E,) that break rules, in their order; of one that breaks several the first rule is named first.
-    A rule's text is filled with their ``name``, ``value`` and what they ``said`` behind their begin, or is a function of the event."""
+    """Events (E,) that break rules, in their order; of one that breaks several the first rule is named first. A rule's text is
+    filled with their ``name``, ``value`` and what they ``said`` behind their begin, or is a function of the event."""
     found = sorted((i, n) for n, (which, _) in enumerate(rules) for i in np.flatnonzero(which).tolist())
     e, faults = nc.events, []
     for i, n in found:

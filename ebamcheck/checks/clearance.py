@@ -159,9 +159,9 @@ def _metal(nc: NCProgram, beads: Beads, which: Ints, width_mm: float) -> BaseGeo
 
 @dataclass(frozen=True, eq=False)
 class Standing:
-    """What every motion of a program meets, as columns (B,); zero where it meets nothing.
-    Depth to which tip and head go into what stands, and a travel under the beads around it; what a travel longer than a hop lacks of the
-    clearance; travels at a place that no block has given (`lost`); length of a bead over nothing, and the parameters between which that is."""
+    """What every motion of a program meets, as columns (B,); zero where it meets nothing. Depth to which tip and head go into what
+    stands, and a travel under the beads around it; what a travel longer than a hop lacks of the clearance; travels at a place that
+    no block has given (`lost`); length of a bead over nothing, and the parameters between which that is."""
 
     into_mm: Floats
     head_mm: Floats
@@ -316,7 +316,8 @@ def _highest(top: Floats, fixed: Floats, x: float, y: float, radius: float, enou
 def _touch(
     ground: _Ground, tool: _Tool, x: float, y: float, z: float, highest: float, m: int, out: Floats
 ) -> float:
-    """Note how deep tip and head go into what stands at a place (cells); the height under it, beside the grid that of the base plate."""
+    """Note how deep tip and head go into what stands at a place (cells); the height under it, beside the grid that of the base
+    plate."""
     rows, columns = ground.top.shape
     i, j = math.floor(x), math.floor(y)
     under, around = 0.0, 0.0

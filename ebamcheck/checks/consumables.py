@@ -1,7 +1,8 @@
-"""What a build uses up: the wire on the spool and the life of the gun's cathode, layer by layer; a program's summary, and parts of a plate.
+"""What a build uses up: the wire on the spool and the life of the gun's cathode, layer by layer; a program's summary, and parts of
+a plate.
 
-Wire that ends within a bead leaves a hole under a beam that burns on; a cathode that fails opens the chamber over a hot part. Both can
-be replaced at a stop before a layer, if the program has such stops (``machine.optional_stop``)."""
+Wire that ends within a bead leaves a hole under a beam that burns on; a cathode that fails opens the chamber over a hot part. Both
+can be replaced at a stop before a layer, if the program has such stops (``machine.optional_stop``)."""
 
 from __future__ import annotations
 
@@ -52,9 +53,9 @@ class Spent:
 
 @dataclass(frozen=True)
 class Consumed:
-    """What a program uses up of one thing, and before which layers, from 0, a new one is needed.
-    It ends in layer `ends_in`, at ``FILE:line`` `where`, if not None; `spent` of the one that is there was used before the program, and
-    `in_use` of the last one is used when it is done."""
+    """What a program uses up of one thing, and before which layers, from 0, a new one is needed. It ends in layer `ends_in`, at
+    ``FILE:line`` `where`, if not None; `spent` of the one that is there was used before the program, and `in_use` of the last one
+    is used when it is done."""
 
     name: str
     holds: float
@@ -163,7 +164,8 @@ def _used(
 def _changes(
     in_layer: Sequence[float], holds: float, stops: bool, spent: float = 0.0
 ) -> tuple[tuple[int, ...], int | None, float]:
-    """Layers before which a new one is put on, as late as may be, the layer in which it ends nevertheless, and what of the last is used.
+    """Layers before which a new one is put on, as late as may be, the layer in which it ends nevertheless, and what of the last is
+    used.
 
     >>> _changes([3.0, 3.0, 2.0, 4.0], 6.0, stops=True), _changes([3.0, 3.0, 2.0, 4.0], 6.0, stops=False)
     (((2,), None, 6.0), ((), 2, 8.0))

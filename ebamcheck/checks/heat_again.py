@@ -1,8 +1,9 @@
 """A second balance of a program's heat, in code of its own, and the limits of the heat gate worked out anew.
 
-Plan and check follow one heat column (:mod:`ebamcheck.heat.balance`): with a mistake in it a plan has too short waits, and its entries
-are found cool enough. Here the heat is followed in the plainest way, from the data of the material and the text alone: cells as high as
-layers, steps of first order. It is coarser, and may differ by :func:`may_differ_k`; more is a mistake, here or there."""
+Plan and check follow one heat column (:mod:`ebamcheck.heat.balance`): with a mistake in it a plan has too short waits, and its
+entries are found cool enough. Here the heat is followed in the plainest way, from the data of the material and the text alone:
+cells as high as layers, steps of first order. It is coarser, and may differ by :func:`may_differ_k`; more is a mistake, here or
+there."""
 
 from __future__ import annotations
 
@@ -32,7 +33,8 @@ SUMMED = 4000  # Temperatures in the sum of the heat that melts: less than a kel
 
 
 def highest_entry_k(config: Config) -> float:
-    """Absolute temperature over which no bead may be entered, K: what the process sets, else the limit of the material, never its solidus."""
+    """Absolute temperature over which no bead may be entered, K: what the process sets, else the limit of the material, never its
+    solidus."""
     process, material = config.process, config.material
     if process.interpass_limit_k is not None:
         return min(process.interpass_limit_k, material.solidus_k)
@@ -47,9 +49,9 @@ def may_differ_k(config: Config) -> float:
 
 
 def melting_power_w(config: Config, thickness_mm: ArrayLike) -> Floats:
-    """Power of the beam at which the wire of a bead, and the metal that is remelted with it, melts from the cold, W.
-    Where the full power is too little for both, all of it, or that for the wire alone. `thickness_mm` is the height of what a bead lays where
-    its metal is spread over one spacing, at the feed of the process."""
+    """Power of the beam at which the wire of a bead, and the metal that is remelted with it, melts from the cold, W. Where the full
+    power is too little for both, all of it, or that for the wire alone. `thickness_mm` is the height of what a bead lays where its
+    metal is spread over one spacing, at the feed of the process."""
     process, material = config.process, config.material
     each_mm3_s = process.travel_speed_mm_s * process.bead_width_mm * process.bead_spacing
     kg_s = each_mm3_s * np.asarray(thickness_mm, np.float64) * 1e-9 * material.density_kg_m3
@@ -108,7 +110,8 @@ class FollowedHeat:
     def with_layer(
         self, beads: BeadHeat, section: BaseGeometry, height_mm: float
     ) -> tuple[Floats, FollowedHeat]:
-        """Lay one more layer of beads (P,), all of layer 0: temperature of what each is laid on, K, and the heat when the layer is done."""
+        """Lay one more layer of beads (P,), all of layer 0: temperature of what each is laid on, K, and the heat when the layer is
+        done."""
         after = copy.copy(self)
         after._column = self._column.copied()
         return _entered(after._column, beads, [_Shape.of(section, height_mm)]), after

@@ -1,4 +1,5 @@
-"""The heat of a program from its text: its beads, times, waits and power, the balance driven by them, and what keeps the part cool."""
+"""The heat of a program from its text: its beads, times, waits and power, the balance driven by them, and what keeps the part
+cool."""
 
 from __future__ import annotations
 
@@ -46,9 +47,9 @@ def motion_seconds(nc: NCProgram, config: Config) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class TextBeads:
-    """Beads (P,) of a program in its sequence, one from where the beam comes on to where it goes off.
-    Who reads the text alone need not know which of them are of one island: each is entered, and finds the part as warm as it then is. Waits
-    and moves are those before a bead, `row` its first motion; `stray` are waits within a bead or after the last: (event, what)."""
+    """Beads (P,) of a program in its sequence, one from where the beam comes on to where it goes off. Who reads the text alone need
+    not know which of them are of one island: each is entered, and finds the part as warm as it then is. Waits and moves are those
+    before a bead, `row` its first motion; `stray` are waits within a bead or after the last: (event, what)."""
 
     layer: Ints
     ring: Ints
@@ -127,9 +128,9 @@ def text_bed_k(
     beads: TextBeads, config: Config, shapes: Sequence[LayerShape], before: HeatColumn | None = None,
     lowest: BaseGeometry | None = None, seen: Callable[[int, HeatColumn], None] = lambda layer, column: None,
 ) -> tuple[Floats, Floats]:  # fmt: skip
-    """Mean temperature of the surface, absolute, when each bead (P,) is entered, and when each layer (L,) is done (NaN without a bead).
-    By the balance of :mod:`ebamcheck.heat.balance`, on what stands `before`: the plate, cold or as the text preheats it under the `lowest`
-    section. `seen` is called with each layer when it is entered, before it is preheated."""
+    """Mean temperature of the surface, absolute, when each bead (P,) is entered, and when each layer (L,) is done (NaN without a
+    bead). By the balance of :mod:`ebamcheck.heat.balance`, on what stands `before`: the plate, cold or as the text preheats it
+    under the `lowest` section. `seen` is called with each layer when it is entered, before it is preheated."""
     # A plate that the program itself preheats was cold before.
     on_plate = before is None or (config.base_mm == 0.0 and 0 in beads.scans)
     column = begun_column(beads.scans, lowest, config) if before is None or on_plate else before.copy()
@@ -191,9 +192,9 @@ def text_shapes(nc: NCProgram, config: Config, sections: Sequence[BaseGeometry] 
 
 
 def build_times_s(nc: NCProgram, config: Config, sections: Sequence[BaseGeometry] | None) -> dict[str, float]:
-    """Times of a program as it is, without its waits, and at full power with waits alone, s.
-    The last is that of the same beads, each entered as soon as the balance finds the surface under the limit; NaN where the wait for one
-    would be longer than :data:`LONGEST_WAIT_S`."""
+    """Times of a program as it is, without its waits, and at full power with waits alone, s. The last is that of the same beads,
+    each entered as soon as the balance finds the surface under the limit; NaN where the wait for one would be longer than
+    :data:`LONGEST_WAIT_S`."""
     beads, known = text_beads(nc, config), sections_of_text(nc, config, sections)
     busy_s = float((beads.time_s + beads.move_s).sum())
     busy_s += sum(float(way.time_s.sum()) for way in beads.scans.values())
@@ -272,9 +273,9 @@ def scanned(
     sections: Sequence[BaseGeometry], k: int, z_mm: float, config: Config, under: BaseGeometry | None = None,
     spot_share: float = 1.0,
 ) -> Scanned:  # fmt: skip
-    """What the beam's middle may go over before layer `k`, whose bottom lies at `z_mm`, by code of its own.
-    On the plate: as far as `preheat.margin_mm` around the box of the lowest section, half a spot within the plate. On what stands, `under`
-    or the layer below: half a spot within its section. Nowhere nearer to a clamp that is higher than half a spot. The spot counts by
+    """What the beam's middle may go over before layer `k`, whose bottom lies at `z_mm`, by code of its own. On the plate: as far as
+    `preheat.margin_mm` around the box of the lowest section, half a spot within the plate. On what stands, `under` or the layer
+    below: half a spot within its section. Nowhere nearer to a clamp that is higher than half a spot. The spot counts by
     `spot_share`, that of the plate wholly."""
     half_mm = 0.5 * spot_share * config.preheat.spot_mm
     below = under if k == 0 else sections[k - 1]
@@ -333,7 +334,8 @@ WARM_SHARE = 0.6
 
 
 def wait_check(nc: NCProgram, config: Config, heat: Interpass | None) -> Check:
-    """Check the waits before layers, contours, islands and further beads: exactly those of the plan; without one the least between layers."""
+    """Check the waits before layers, contours, islands and further beads: exactly those of the plan; without one the least between
+    layers."""
     beads = text_beads(nc, config)
     least_s = config.process.layer_pause_s
     first = beads.enters_layer & (np.arange(len(beads)) > 0)
@@ -367,9 +369,9 @@ def heat_checks(
     nc: NCProgram, config: Config, sections: Sequence[BaseGeometry] | None, before: HeatColumn | None = None,
     witness: Sequence[BaseGeometry] | None = None,
 ) -> list[Check]:  # fmt: skip
-    """Check that the power of each layer melts its wire, and the temperature at which beads are entered.
-    Without `sections` those count that the contours enclose; `witness` are those of the second balance. On a part that is half built, heat
-    `before` the program has to be known: nothing in its text tells how warm the part is."""
+    """Check that the power of each layer melts its wire, and the temperature at which beads are entered. Without `sections` those
+    count that the contours enclose; `witness` are those of the second balance. On a part that is half built, heat `before` the
+    program has to be known: nothing in its text tells how warm the part is."""
     known = sections_of_text(nc, config, sections)
     beads, shapes = text_beads(nc, config), text_shapes(nc, config, known)
     melting = melting_check(nc, config, ramp_power(nc, np.flatnonzero(nc.deposit), config)[1] > 0.0)
@@ -405,7 +407,8 @@ def layer_shares(nc: NCProgram, config: Config) -> Floats:
 
 
 def scheduled_shares(heights: ArrayLike | None, config: Config) -> Floats | None:
-    """Share of the power of each layer, (L,), of cuts at `heights` (L,), where the settings have a table of it; None where the heat decides."""
+    """Share of the power of each layer, (L,), of cuts at `heights` (L,), where the settings have a table of it; None where the heat
+    decides."""
     cuts = np.asarray(() if heights is None else heights, np.float64)
     if isinstance(config.process.power_schedule, str) or not cuts.size:
         return None
@@ -498,8 +501,8 @@ def within_range(temperature_k: float, config: Config) -> tuple[float, str]:
 
 def least_entries_k(beads: TextBeads, bed_k: Floats, config: Config) -> Floats:
     """Least temperature at which each bead may be entered, (P,) K: the one that is set, else by its wait; -inf where there is none.
-    A bead that is waited for longer than `process.layer_pause_s`, without preheating, may be as cold as :data:`WARM_SHARE` allows, or as two
-    balances of the heat differ."""
+    A bead that is waited for longer than `process.layer_pause_s`, without preheating, may be as cold as :data:`WARM_SHARE` allows,
+    or as two balances of the heat differ."""
     process = config.process
     if process.least_entry_temperature_k is not None:
         return np.full(len(beads), process.least_entry_temperature_k)
@@ -514,8 +517,8 @@ def least_entries_k(beads: TextBeads, bed_k: Floats, config: Config) -> Floats:
 
 
 def cold_check(nc: NCProgram, beads: TextBeads, bed_k: Floats, checked: Bools, config: Config) -> Check:
-    """Temperature of the surface when beads are entered, by the balance of the text, against the least, where it is to be `checked` (P,).
-    What waits longer is entered colder than the power is tapered for, and fuses worse with what lies under it."""
+    """Temperature of the surface when beads are entered, by the balance of the text, against the least, where it is to be `checked`
+    (P,). What waits longer is entered colder than the power is tapered for, and fuses worse with what lies under it."""
     least_k = np.where(checked, least_entries_k(beads, bed_k, config), -np.inf)
     if not np.isfinite(least_k).any():
         return Check(COLD, True, 0.0, 0.0, "K", "", "no bead is waited for longer than the settings ask")

@@ -34,7 +34,8 @@ class Matching:
 
 
 def matched(nc: NCProgram, path: TrackColumns) -> tuple[NCProgram, Matching]:
-    """Give every bead the role of the track that it follows: its ring or island, turns and further parts of lines; none to one not planned."""
+    """Give every bead the role of the track that it follows: its ring or island, turns and further parts of lines; none to one not
+    planned."""
     beads = nc.beads
     known = np.flatnonzero(np.diff(path.track_starts) > 0)
     layer = np.repeat(np.arange(len(path.z)), np.diff(path.layer_starts))[known]
@@ -131,7 +132,8 @@ def _one_by_one(match: Matching) -> tuple[Bools, Ints, Ints]:
 
 
 def matching_checks(nc: NCProgram, match: Matching) -> list[Check]:
-    """Check that every bead was planned, that none is missing or comes twice or too early, and that all hatch keeps to its track."""
+    """Check that every bead was planned, that none is missing or comes twice or too early, and that all hatch keeps to its
+    track."""
     beads, track, path = match.beads, match.track, match.path
     known = np.flatnonzero(np.diff(path.track_starts) > 0)
     faults = [(int(beads.first[i]), "a bead that nobody planned") for i in np.flatnonzero(track < 0).tolist()]
@@ -180,7 +182,8 @@ def _named(path: TrackColumns, track: int) -> str:
 
 @kernel
 def nearest_each(places: Floats, segments: Floats) -> tuple[Ints, Floats]:
-    """Nearest of segments (m, 4) to each of places (n, 2), and its distance (n,); the quicker the nearer a place is to the one before."""
+    """Nearest of segments (m, 4) to each of places (n, 2), and its distance (n,); the quicker the nearer a place is to the one
+    before."""
     tree, guess = tree_over(segments), 0
     index, away = np.empty(len(places), np.int64), np.empty(len(places))
     for n in range(len(places)):
@@ -190,7 +193,8 @@ def nearest_each(places: Floats, segments: Floats) -> tuple[Ints, Floats]:
 
 
 def shape_distance(driven: Floats, motion: Ints, wanted: Floats) -> Floats:
-    """Largest distance of paths, (n, 2) and (m, 2) points, as shapes, both ways, at each motion of the first; `motion` (n,) is that of its points."""
+    """Largest distance of paths, (n, 2) and (m, 2) points, as shapes, both ways, at each motion of the first; `motion` (n,) is that
+    of its points."""
     path, target = (
         np.hstack([at[:-1], at[1:]]) if len(at) > 1 else np.hstack([at, at]) for at in (driven, wanted)
     )

@@ -1,4 +1,5 @@
-"""Whether the layers of a program have the metal of the solid, and their sections are those of the mesh: what sections alone cannot tell.
+"""Whether the layers of a program have the metal of the solid, and their sections are those of the mesh: what sections alone cannot
+tell.
 
 A level face within a layer moves to one of its borders, so that layers may be more or less than the part."""
 
@@ -56,7 +57,8 @@ class Solid(NamedTuple):
 
 
 def solid_check(part: Part, layers: Layers, config: Config) -> Solid:
-    """Check that the layers neither add to the solid, or to one part of a plate, nor leave out of it more than `process.mass_tolerance`."""
+    """Check that the layers neither add to the solid, or to one part of a plate, nor leave out of it more than
+    `process.mass_tolerance`."""
     limit, cuts = config.process.mass_tolerance, np.asarray(layers.heights)
 
     def solid(share: float, text: str, layer: int | None = None, z_mm: float = np.nan) -> Solid:
@@ -161,7 +163,8 @@ def _summed_volumes(part: Part, borders: Floats) -> Floats:
 
 
 class Lost(NamedTuple):
-    """An opening, or metal, that no layer has: the cut below it (-1: the bottom of the part), height and width, and where it is, mm."""
+    """An opening, or metal, that no layer has: the cut below it (-1: the bottom of the part), height and width, and where it is,
+    mm."""
 
     is_wall: bool
     below: int
@@ -273,9 +276,9 @@ _Facets = tuple[Part, Floats, Floats]
 
 
 def sections_check(part: Part, layers: Layers, config: Config) -> Check:
-    """Check sections against the mesh, along lines in X and in Y across every layer.
-    Where one has metal and the other none, their borders lie apart: by no more than `curves.section_tolerance_mm`. Lines that graze a side
-    have long pieces whose ends lie on both."""
+    """Check sections against the mesh, along lines in X and in Y across every layer. Where one has metal and the other none, their
+    borders lie apart: by no more than `curves.section_tolerance_mm`. Lines that graze a side have long pieces whose ends lie on
+    both."""
     limit = config.curves.section_tolerance_mm
     sections = [layers.section(k) for k in range(len(layers))]
     step = config.process.bead_width_mm / LINES_PER_BEAD

@@ -1,7 +1,9 @@
-"""The metal that a program's text lays: a height field layer by layer, the surface that is built up, and the wire of each bead by its place.
+"""The metal that a program's text lays: a height field layer by layer, the surface that is built up, and the wire of each bead by
+its place.
 
-Wire section, wire speed and feed give the metal; the pool, a half sphere as wide as the bead, spreads it; a place is levelled over a bead
-width; what is still too high or too low is where the next layer begins. Nothing is taken from what gives the wire of a program its speed."""
+Wire section, wire speed and feed give the metal; the pool, a half sphere as wide as the bead, spreads it; a place is levelled over
+a bead width; what is still too high or too low is where the next layer begins. Nothing is taken from what gives the wire of a
+program its speed."""
 
 from __future__ import annotations
 
@@ -91,7 +93,8 @@ def bead_sections_mm2(nc: NCProgram, config: Config) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class LayerField:
-    """The metal of one layer in the cells of its target, (rows, columns): height laid, and of the surface over that of the layer, mm."""
+    """The metal of one layer in the cells of its target, (rows, columns): height laid, and of the surface over that of the layer,
+    mm."""
 
     target: Target
     laid_mm: Floats
@@ -100,10 +103,10 @@ class LayerField:
 
 @dataclass(frozen=True, eq=False)
 class Asked:
-    """What the places (n,) along the beads of a layer lay, and what they ask for, in program order.
-    Columns of `laid`, `least` and `most` (n, 3), mm2: metal by the area of the section nearest to a place, the same with all that lies in the
-    pool, and the metal over the width of the bead; `own` is what the bead lays itself over one bead width; `at_limit` is -1 where it has the
-    least wire, 1 where it has the most, else 0."""
+    """What the places (n,) along the beads of a layer lay, and what they ask for, in program order. Columns of `laid`, `least` and
+    `most` (n, 3), mm2: metal by the area of the section nearest to a place, the same with all that lies in the pool, and the metal
+    over the width of the bead; `own` is what the bead lays itself over one bead width; `at_limit` is -1 where it has the least
+    wire, 1 where it has the most, else 0."""
 
     row: Ints
     along_mm: Floats
@@ -168,8 +171,8 @@ def deposit(
     nc: NCProgram, layers: Layers, z_of: Floats, config: Config, keep: Collection[int] = (),
     stands: Surface | None = None, asked: bool = False,
 ) -> Deposit:  # fmt: skip
-    """Lay the metal of a program, layer by layer, over the sections `layers` of a slicer that did not make it, if there is one.
-    The layers lie at `z_of` (L,), the lowest on the surface `stands`, or level. The fields of the layers `keep` are returned, too, and,
+    """Lay the metal of a program, layer by layer, over the sections `layers` of a slicer that did not make it, if there is one. The
+    layers lie at `z_of` (L,), the lowest on the surface `stands`, or level. The fields of the layers `keep` are returned, too, and,
     where it is `asked`, what the place of each bead asks for."""
     process = config.process
     rows = np.flatnonzero(nc.deposit & nc.wire)
@@ -482,8 +485,8 @@ def _nearest_areas(target: Target, places: Floats, fields: tuple[Floats, Floats]
 
 
 def strip_of(bead_mm: float, step_mm: float) -> Floats:
-    """Weights of the cells around a place whose mean along a straight bead is that of the strip under it, one bead wide; their sum is 1.
-    The inverse Abel transform of a strip: 1 / sqrt(R^2 - r^2) has the same integral along every line across its disc."""
+    """Weights of the cells around a place whose mean along a straight bead is that of the strip under it, one bead wide; their sum
+    is 1. The inverse Abel transform of a strip: 1 / sqrt(R^2 - r^2) has the same integral along every line across its disc."""
     # By so many points across a cell its weight errs by less than a thousandth.
     radius, points = 0.5 * bead_mm / step_mm, 20
     cells = 2 * int(np.ceil(radius + 0.5)) + 1

@@ -1,4 +1,5 @@
-"""Checks of the metal that a program lays: as much as the part has, where it has it, and flat; and of the wire of every bead by its place.
+"""Checks of the metal that a program lays: as much as the part has, where it has it, and flat; and of the wire of every bead by its
+place.
 
 Their limits are settings of the process, or follow from the bead; none is taken from what the program reaches."""
 
@@ -107,9 +108,9 @@ def _is_wide(solid: pd.DataFrame, zone: str, process: ProcessSettings) -> Bools:
 def deposit_checks(
     nc: NCProgram, found: Deposit, config: Config, below: MetalBelow | None = None
 ) -> list[Check]:
-    """Check the metal of a program, together with the metal `below`, see :func:`ebamcheck.checks.metal.deposit`.
-    None: nothing stands there or, under the only layer of a program that does not begin on the plate (``layers.base_mm``), it is not
-    known; that layer is then held to the limits of a single one alone."""
+    """Check the metal of a program, together with the metal `below`, see :func:`ebamcheck.checks.metal.deposit`. None: nothing
+    stands there or, under the only layer of a program that does not begin on the plate (``layers.base_mm``), it is not known; that
+    layer is then held to the limits of a single one alone."""
     solid = _with_metal(found.layers)
     if not len(solid):
         return [Check(name, False, math.inf, 0.0, "", "", "no layer has metal") for name in DEPOSIT_CHECKS]
@@ -126,7 +127,8 @@ def deposit_checks(
 
 @dataclass(frozen=True, eq=False)
 class _Metal:
-    """Metal of a program, with its layers that have some, what is built with them, and whether it is one layer on what nobody knows."""
+    """Metal of a program, with its layers that have some, what is built with them, and whether it is one layer on what nobody
+    knows."""
 
     nc: NCProgram
     found: Deposit
@@ -236,7 +238,8 @@ def _holes(metal: _Metal) -> Check:
 
 
 def _narrow(metal: _Metal) -> Check:
-    """Openings and walls of the part that are narrower than a setting allows; of others, narrower than beads can build, it tells."""
+    """Openings and walls of the part that are narrower than a setting allows; of others, narrower than beads can build, it
+    tells."""
     narrow = metal.found.narrow
     broken = [feature for feature in narrow if feature.is_set]
     text = "no opening and no wall is narrower than beads can build"
@@ -330,7 +333,8 @@ def most_off(length_mm: Floats, bead_mm: float) -> Floats:
 
 
 def _worst_span(nc: NCProgram, asked: Asked, bead_mm: float) -> tuple[float, float, float, float, int, int]:
-    """Worst span of the beads of a layer: over its limit, what it is off, limit, length, mm, and motion; and how many beads there are."""
+    """Worst span of the beads of a layer: over its limit, what it is off, limit, length, mm, and motion; and how many beads there
+    are."""
     on_contour = nc.ring[asked.row] >= 0
     sums, bead = _Sums(asked), nc.beads.group[asked.row]
     first = np.flatnonzero(np.diff(bead, prepend=-1))
@@ -375,7 +379,8 @@ class _Sums:
         return np.asarray(self._along[stop] - self._along[first], np.float64)
 
     def off(self, first: Ints, stop: Ints, on_contour: Bools) -> Floats:
-        """Wire of spans (m,) over what their places ask for, less 1: wrong is what all ways say, and the limits of the wire do not excuse."""
+        """Wire of spans (m,) over what their places ask for, less 1: wrong is what all ways say, and the limits of the wire do not
+        excuse."""
         span = np.ascontiguousarray((self._sums[stop] - self._sums[first]).T)
         laid, least, most, length = span[:3], span[3:6], span[6:9], np.maximum(span[11], np.finfo(float).tiny)
         own, limit = np.clip(span[9] / length, LEAST_OWN, 1.0) * length, span[10] / length
@@ -394,7 +399,8 @@ class _Sums:
 
 
 def _changes(asked: Asked, on_contour: Bools, begin: Ints, end: Ints) -> tuple[Ints, Ints, Floats]:
-    """Parts of hatch beads, which go from place `begin` (B,) to `end`, of another metal than the rest: their ends, and by how much."""
+    """Parts of hatch beads, which go from place `begin` (B,) to `end`, of another metal than the rest: their ends, and by how
+    much."""
     own = asked.own
     starts = np.zeros(own.size, np.bool_)
     starts[begin] = True
@@ -414,8 +420,8 @@ def _changes(asked: Asked, on_contour: Bools, begin: Ints, end: Ints) -> tuple[I
 
 def overfill_check(nc: NCProgram, z_of: Floats, config: Config, layers: Layers) -> Check:
     """Most metal that a layer lays in the spot of a bead, a square of its width, over that of the layer; they lie at Z `z_of` (L,).
-    A bead more, or one laid again, brings a spot 0.7 times that. Spots count where the section is at least two bead widths wide: contours
-    around less lie in each other, and the metal of such layers is judged as a whole."""
+    A bead more, or one laid again, brings a spot 0.7 times that. Spots count where the section is at least two bead widths wide:
+    contours around less lie in each other, and the metal of such layers is judged as a whole."""
     rows = nc.beads.rows
     rows = rows[np.isfinite(nc.start[rows]).all(axis=1) & nc.deposit[rows] & nc.wire[rows]]
     thickness = np.diff(z_of, prepend=config.base_mm)

@@ -56,8 +56,9 @@ class Place(NamedTuple):
 
 @dataclass(frozen=True)
 class NarrowFeature:
-    """A feature over all layers that it goes through, from the `first` to the `last`; length and place are those where it is narrowest.
-    It is narrow under `least_mm`: the width that a setting allows (`is_set`), or that of the bead, with what is allowed for machining."""
+    """A feature over all layers that it goes through, from the `first` to the `last`; length and place are those where it is
+    narrowest. It is narrow under `least_mm`: the width that a setting allows (`is_set`), or that of the bead, with what is allowed
+    for machining."""
 
     kind: Kind
     least_mm: float
@@ -144,7 +145,8 @@ def _lies(
     group: list[tuple[int, Place]], places: list[list[Place]], sections: Sequence[BaseGeometry], walls: bool, least_mm: float,
     high_mm: float,
 ) -> bool:  # fmt: skip
-    """Whether narrow places are floor or roof of something that lies on its side, as a bore does, and that a ball of the least width fills."""
+    """Whether narrow places are floor or roof of something that lies on its side, as a bore does, and that a ball of the least
+    width fills."""
     layer, place = min(group, key=lambda one: one[1].narrowest_mm)
     point, radius = place.region.representative_point(), 0.5 * least_mm
     others = np.flatnonzero(shapely.intersects(np.asarray(sections, object), point) != walls)
@@ -162,7 +164,8 @@ def _lies(
 
 
 def narrow_places(section: BaseGeometry, walls: bool, least_mm: float, shallow_mm: float) -> list[Place]:
-    """Find the walls of a section, or its openings, that are narrower than `least_mm`; notches and tips to `shallow_mm` are uneven sides."""
+    """Find the walls of a section, or its openings, that are narrower than `least_mm`; notches and tips to `shallow_mm` are uneven
+    sides."""
     parts = np.asarray([shapely.orient_polygons(p) for p in valid_polygons(section)], object)
     if not parts.size:
         return []
@@ -283,7 +286,8 @@ def _through_layers(places: list[list[Place]], least_mm: float) -> list[list[tup
 
 @dataclass(frozen=True)
 class NarrowBead:
-    """Width, wire, power and current of a bead as wide as a wall, at the travel speed that is set, and the least width of each limit by its name."""
+    """Width, wire, power and current of a bead as wide as a wall, at the travel speed that is set, and the least width of each
+    limit by its name."""
 
     width_mm: float
     wire_mm_s: float
@@ -314,7 +318,8 @@ class NarrowBead:
 
 
 def thinnest_wall(section: BaseGeometry, bead_width_mm: float) -> tuple[float, float, float] | None:
-    """Width of the thinnest piece of a section that no bead fits into, and a point in it, mm; None where beads fit but in corners."""
+    """Width of the thinnest piece of a section that no bead fits into, and a point in it, mm; None where beads fit but in
+    corners."""
     _, thin = split_thin(section, bead_width_mm, CRUMB * bead_width_mm**2)
     alone = [part for part in valid_polygons(section) if mean_width_mm(part) < bead_width_mm]
     if not (found := [*thin, *alone]):

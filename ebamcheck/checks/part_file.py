@@ -1,7 +1,8 @@
 """Whether the part that is built is the one in its file: of that size, that way up, at its place, and no other.
 
-An STL file is read again by other code than that of parts, and held against the part: how long it is along the slicing direction, its
-surface, and how high the middle of that lies. Then every corner of every facet is turned and placed anew, as settings or plate say."""
+An STL file is read again by other code than that of parts, and held against the part: how long it is along the slicing direction,
+its surface, and how high the middle of that lies. Then every corner of every facet is turned and placed anew, as settings or plate
+say."""
 
 from __future__ import annotations
 
@@ -77,7 +78,8 @@ class _Body:
 
 
 def file_check(part: Part, config: Config) -> Check:
-    """Check that the part is as large as in its STL file, and stands as the settings say; of a part without a file nothing is said."""
+    """Check that the part is as large as in its STL file, and stands as the settings say; of a part without a file nothing is
+    said."""
     bodies = _bodies(part, config)
     if not bodies or not all(body.file.path.is_file() for body in bodies):
         return Check("part of the file", True, 0.0, SAME_SIZE, "of its size", "", "no file of the part")

@@ -91,8 +91,8 @@ def fitted_spans(curves: CurveColumns, decimals: int) -> FittedSpans:
 
 
 def spline_points(knots: Floats, control: Floats, at: Floats) -> Floats:
-    """Points (S, n, 2) of a clamped cubic B-spline; row s of parameters `at` (S, n) lies in the s-th span between two different knots.
-    C. de Boor, "On calculating with B-splines", J. Approx. Theory 6 (1972) 50."""
+    """Points (S, n, 2) of a clamped cubic B-spline; row s of parameters `at` (S, n) lies in the s-th span between two different
+    knots. C. de Boor, "On calculating with B-splines", J. Approx. Theory 6 (1972) 50."""
     span = np.flatnonzero(knots[1:] > knots[:-1])
     first = span - DEGREE
     place = [np.asarray(control)[first + k][:, None] for k in range(DEGREE + 1)]
@@ -169,7 +169,8 @@ def contour_checks(subject: Subject) -> list[Check]:
 
 
 def _chord_counts(points: Floats, most_mm: float) -> Ints:
-    """Chords (n,) by which curves, (n, m, 2) at equal steps of their parameter, are met within a distance: they err by the second difference over 8."""
+    """Chords (n,) by which curves, (n, m, 2) at equal steps of their parameter, are met within a distance: they err by the second
+    difference over 8."""
     bend = np.linalg.norm(np.diff(points, n=2, axis=1), axis=2).max(axis=1, initial=0.0) / 8.0
     return 1 + np.asarray((points.shape[1] - 1) * np.sqrt(np.nan_to_num(bend) / most_mm), np.int64)
 

@@ -1,7 +1,9 @@
-"""Checks of preheating: where the beam goes, out of focus and without wire, how often, and how warm and even the surface is by its text.
+"""Checks of preheating: where the beam goes, out of focus and without wire, how often, and how warm and even the surface is by its
+text.
 
-Region, lines and passes are worked out by code of their own: plan and writer take them from one place, and a mistake there would be in
-the program and in what it is held against. The heat goes by the model of the plan; on the plate a second balance is held against it."""
+Region, lines and passes are worked out by code of their own: plan and writer take them from one place, and a mistake there would be
+in the program and in what it is held against. The heat goes by the model of the plan; on the plate a second balance is held against
+it."""
 
 from __future__ import annotations
 
@@ -60,9 +62,9 @@ def preheat_checks(
     nc: NCProgram, config: Config, sections: Sequence[BaseGeometry] | None, before: HeatColumn | None = None,
     under: BaseGeometry | None = None,
 ) -> list[Check]:  # fmt: skip
-    """Check the preheating scans of a program; nothing where the settings ask for none and it has none.
-    Without `sections` (L,) those count that its contours enclose. Where a program begins on a part that is half built, how often it is
-    scanned, and how warm it is then, are judged by heat `before` and section `under` it alone."""
+    """Check the preheating scans of a program; nothing where the settings ask for none and it has none. Without `sections` (L,)
+    those count that its contours enclose. Where a program begins on a part that is half built, how often it is scanned, and how
+    warm it is then, are judged by heat `before` and section `under` it alone."""
     if config.preheat.when == "off":
         if nc.preheating is None:
             return []
@@ -347,8 +349,8 @@ def found_scans(
 
 
 def pass_way(region: BaseGeometry, config: Config, number: int, here: Floats | None = None) -> BeamWay:
-    """Way of the beam in a pass, counted from 0, from `here` on: rows to and fro, the ways that join them, and rapids between others.
-    Every second pass lies across (crossed), or half a spacing aside (lines)."""
+    """Way of the beam in a pass, counted from 0, from `here` on: rows to and fro, the ways that join them, and rapids between
+    others. Every second pass lies across (crossed), or half a spacing aside (lines)."""
     settings, nothing = config.preheat, np.zeros((0, 2))
     if region.is_empty:
         return BeamWay(nothing, nothing, np.zeros(0), np.zeros(0))
@@ -462,7 +464,8 @@ def temperatures_of(found: list[Found], config: Config) -> list[Check]:
 
 
 def temperature_again(found: list[Found], config: Config) -> list[Check]:
-    """Temperature of the bare plate by a second balance of the heat: between that of all of the plate, and that of what is scanned alone."""
+    """Temperature of the bare plate by a second balance of the heat: between that of all of the plate, and that of what is scanned
+    alone."""
     scan = next((s for s in found if s.layer == 0 and s.after is not None), None)
     if scan is None or scan.after is None or config.base_mm > 0.0 or not scan.way.time_s.size:
         return []

@@ -146,8 +146,8 @@ class Laid:
 
 
 def overhang_check(nc: NCProgram, config: Config) -> Check:
-    """Angle from the vertical by which the metal of a layer reaches out over that below, where it is most over its limit.
-    It may reach out by the width of a bead, since one farther out has nothing under it, and by less where an angle is set. What closes a
+    """Angle from the vertical by which the metal of a layer reaches out over that below, where it is most over its limit. It may
+    reach out by the width of a bead, since one farther out has nothing under it, and by less where an angle is set. What closes a
     hole, or joins two posts, reaches out from all sides of them: by half of its span."""
     width_mm = config.process.bead_width_mm
     heights = nc.layer_heights

@@ -55,7 +55,8 @@ def _each(remedy: str, *names: str) -> dict[str, str]:
 
 
 def _plugged(subject: Subject) -> list[Check]:
-    """Make the checks of all plugins, functions of program and settings; one that raises or returns no check is a failed check of its name."""
+    """Make the checks of all plugins, functions of program and settings; one that raises or returns no check is a failed check of
+    its name."""
     checks: list[Check] = []
     for name in registry.names(registry.CHECKS):
         try:

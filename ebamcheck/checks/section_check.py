@@ -34,9 +34,9 @@ CORNER_RAD = math.radians(40.0)  # Chords that turn by more meet in a corner of 
 
 @dataclass(frozen=True)
 class Evidence:
-    """By how much the contour path may leave the chords of a section: `base_mm` anywhere, for fit, rounding and arcs of an inset, to `most_mm`.
-    The path may lie between the chords and the `smooth` sections that they stand for; without these, chords allow what a curve through their
-    ends leaves them by."""
+    """By how much the contour path may leave the chords of a section: `base_mm` anywhere, for fit, rounding and arcs of an inset,
+    to `most_mm`. The path may lie between the chords and the `smooth` sections that they stand for; without these, chords allow
+    what a curve through their ends leaves them by."""
 
     base_mm: float
     most_mm: float
@@ -78,9 +78,9 @@ def section_check(
     nc: NCProgram, layers: Layers, z_of: Floats, offset_mm: float, limit_mm: float, name: str = "section",
     evidence: Evidence | None = None,
 ) -> Check:  # fmt: skip
-    """Compare the centre lines of the contour beads with the sections, layer by layer and both ways.
-    A place on the path lies as deep in the section as the inset, within its limit; and the path passes every place of the inset's border, so
-    that no contour is missing: within `limit_mm`, or within what insets of outlines that near to each other lie apart. A ring narrower than
+    """Compare the centre lines of the contour beads with the sections, layer by layer and both ways. A place on the path lies as
+    deep in the section as the inset, within its limit; and the path passes every place of the inset's border, so that no contour is
+    missing: within `limit_mm`, or within what insets of outlines that near to each other lie apart. A ring narrower than
     `limit_mm`, and a slit narrower than :data:`SLIT_MM`, which unions leave where shells touch, ask for no contour of their own."""
     rows = np.flatnonzero(nc.deposit & (nc.ring >= 0))
     index = nearest_layer(nc.end[rows, 2], z_of)
@@ -240,7 +240,8 @@ def _width_mm(ring: shapely.LinearRing) -> float:
 
 
 def outside_check(subject: Subject) -> Check:
-    """Check all metal, whatever its role: no place of a bead's centre line leaves the part and its allowance by more than contours may."""
+    """Check all metal, whatever its role: no place of a bead's centre line leaves the part and its allowance by more than contours
+    may."""
     nc, layers, config = subject.nc, subject.witness, subject.config
     limit_mm = config.curves.section_tolerance_mm
     known = np.isfinite(nc.start).all(axis=1) & np.isfinite(nc.end).all(axis=1)

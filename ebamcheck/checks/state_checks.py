@@ -1,4 +1,5 @@
-"""Checks of what the machine does: modes, feeds, travel, what is switched, set and waited for, in which order, and where the tool is then."""
+"""Checks of what the machine does: modes, feeds, travel, what is switched, set and waited for, in which order, and where the tool
+is then."""
 
 from __future__ import annotations
 
@@ -105,8 +106,8 @@ def extremes(nc: NCProgram) -> tuple[Floats, Floats]:
 
 
 def far_away(nc: NCProgram, config: Config) -> Check | None:
-    """Check ``travel`` of a program that goes farther beyond its limits than the machine is long; None for any other.
-    A number that lost its point leads kilometres away: nothing else can be said of it, and what follows its path would take hours."""
+    """Check ``travel`` of a program that goes farther beyond its limits than the machine is long; None for any other. A number that
+    lost its point leads kilometres away: nothing else can be said of it, and what follows its path would take hours."""
     longest = float(np.subtract(config.machine.travel_max_mm, config.machine.travel_min_mm).max())
     for each in (nc if nc.machine is None else nc.machine, nc.preheating):
         if each is not None and len(each):
@@ -223,7 +224,8 @@ def _offset_lost(nc: NCProgram, config: Config) -> Faults:
 
 
 def modes_of_scans(scans: NCProgram, config: Config) -> Faults:
-    """Words in preheating scans other than those that hold at every motion of the program, and stops; a scan may leave words out."""
+    """Words in preheating scans other than those that hold at every motion of the program, and stops; a scan may leave words
+    out."""
     e, wanted = scans.events, wanted_words(scans.dialect, config.machine)
     said = {}
     for name in set(e.name):
@@ -410,9 +412,9 @@ def wait_height_check(nc: NCProgram, config: Config) -> Check:
 
 
 def released_checks(nc: NCProgram, config: Config) -> list[Check]:
-    """Check the files of a layer that is called by itself: each sets what it needs, comes from above, leaves nothing on; none of a whole program.
-    What its own main program sets before the call, or does after it, does not happen then: values, and the place of the tool, are those that
-    the layer below has left."""
+    """Check the files of a layer that is called by itself: each sets what it needs, comes from above, leaves nothing on; none of a
+    whole program. What its own main program sets before the call, or does after it, does not happen then: values, and the place of
+    the tool, are those that the layer below has left."""
     if not RELEASED.search(config.machine.program_name):
         return []
     # The table's ways are none of the part.

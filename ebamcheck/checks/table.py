@@ -1,8 +1,8 @@
 """Checks of a tilt table and of a part that is turned between layers.
 
-From the text alone, with the rotary axes of the profile: where and when the table turns, what the frame makes of the program, and that
-both are taken back. From the mesh: what was laid before, seen along the new direction, may rise beside a layer or over it: no layer may
-be laid into it, and neither beam and wire nor the head, a cylinder over the tip, may meet it."""
+From the text alone, with the rotary axes of the profile: where and when the table turns, what the frame makes of the program, and
+that both are taken back. From the mesh: what was laid before, seen along the new direction, may rise beside a layer or over it: no
+layer may be laid into it, and neither beam and wire nor the head, a cylinder over the tip, may meet it."""
 
 from __future__ import annotations
 
@@ -63,7 +63,8 @@ def tilt_checks(nc: NCProgram, config: Config) -> list[Check]:
 
 
 def _turns(full: NCProgram, table: TableColumns) -> Iterator[tuple[str, str]]:
-    """Turns under beam or wire, at feed, of several axes at once, or while the tool moves; axes that are not commanded before a frame."""
+    """Turns under beam or wire, at feed, of several axes at once, or while the tool moves; axes that are not commanded before a
+    frame."""
     e = full.events
     for row in np.flatnonzero(table.before != table.after).tolist():
         where, now = full.where(row), table.positions_deg[table.after[row]]
@@ -172,7 +173,8 @@ class Stands:
 
 
 def stands_of(before: Part, now: Part, built_mm: float, config: Config) -> Stands:
-    """What stands of a part that was built up to a height, as it was built `before` and is turned `now`; InputError if they are not of one file."""
+    """What stands of a part that was built up to a height, as it was built `before` and is turned `now`; InputError if they are not
+    of one file."""
     turn, shift = rigid_motion(before, now)
     corners = before.vertices[before.faces]
     level = float(before.bounds[0, 2])
@@ -217,7 +219,8 @@ def _places(corners: Floats, step_mm: float) -> Floats:
 def turned_checks(
     nc: NCProgram, section: BaseGeometry, cut_mm: float, stands: Stands, config: Config
 ) -> list[Check]:
-    """Checks of a layer of a turned part, its section at the absolute height `cut_mm`: nothing is laid into what stands, or meets it."""
+    """Checks of a layer of a turned part, its section at the absolute height `cut_mm`: nothing is laid into what stands, or meets
+    it."""
     n, d = stands.up
     # Area of the section on the built side of the plane up to which the part was built.
     inside = shapely.intersection(section, _half_plane(n[:2], float(stands.built_mm + d - n[2] * cut_mm)))
@@ -252,7 +255,8 @@ def mounting_checks(before: Part, now: Part, config: Config, built_mm: float | N
 
 
 def _swings(nc: NCProgram, before: Part, config: Config) -> list[Check]:
-    """The tip over part, base plate and clamps, corner by corner, wherever the table turns; nothing where the program turns none."""
+    """The tip over part, base plate and clamps, corner by corner, wherever the table turns; nothing where the program turns
+    none."""
     # The check `table height` has the same of boxes by which the program was written, too.
     full, machine = nc.machine, config.machine
     if full is None or full.table is None:

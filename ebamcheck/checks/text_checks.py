@@ -1,7 +1,8 @@
 """Checks of a program's text, that what it says of itself is true, and of a program that begins at a layer.
 
-Nothing rests on comments, and a program without them is judged alike; one that says something untrue is refused, since a person reads
-them at the control. A program that begins at a layer is the end of the whole one, which was proved: motion by motion, value by value."""
+Nothing rests on comments, and a program without them is judged alike; one that says something untrue is refused, since a person
+reads them at the control. A program that begins at a layer is the end of the whole one, which was proved: motion by motion, value
+by value."""
 
 from __future__ import annotations
 
@@ -129,7 +130,8 @@ def _end(file: SourceFile) -> Faults:
 
 
 def _calls(nc: NCProgram) -> Faults:
-    """Calls of what is no layer of this program (MAIN_L0001 and on), or of one out of its order or twice; layers that are not called."""
+    """Calls of what is no layer of this program (MAIN_L0001 and on), or of one out of its order or twice; layers that are not
+    called."""
     e, stem, before, faults = nc.events, nc.files[0].name.rpartition(".")[0].upper(), -1, Faults()
     at = np.flatnonzero(e.kind == Kind.CALL).tolist()
     calls = [e.said(i) for i in at]
@@ -158,7 +160,8 @@ def _calls(nc: NCProgram) -> Faults:
 
 
 def words_check(nc: NCProgram) -> Check:
-    """Check that no block of a bead lacks an axis that nearly all others name, and no way to a bead lacks its place or half of it."""
+    """Check that no block of a bead lacks an axis that nearly all others name, and no way to a bead lacks its place or half of
+    it."""
     lines = [file.data.split(b"\n") for file in nc.files]
     text = f"{len(nc)} motions name X and Y as the others do"
     blocks = _blocks(nc, lines)
@@ -359,7 +362,8 @@ def _size(nc: NCProgram, config: Config) -> Check:
 
 
 def marked_validated(files: ProgramFiles) -> ProgramFiles:
-    """Mark a program that was checked as validated; RuntimeError, and the files as they were, if more than its status has changed."""
+    """Mark a program that was checked as validated; RuntimeError, and the files as they were, if more than its status has
+    changed."""
     checked = {name: (files.folder / name).read_bytes() for name in files.names}
     made = mark_validated(files)
     for name, data in checked.items():

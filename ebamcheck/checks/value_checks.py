@@ -1,4 +1,5 @@
-"""Checks of values, wire, power and feed of every bead, by the settings and the window of the process; and which settings judge loosely."""
+"""Checks of values, wire, power and feed of every bead, by the settings and the window of the process; and which settings judge
+loosely."""
 
 from __future__ import annotations
 
@@ -208,9 +209,9 @@ def _apart(value: float, limits: tuple[float, float]) -> str:
 
 
 def value_check(nc: NCProgram, config: Config) -> Check:
-    """Every value that is set, and the feed of every motion that lays metal, against the settings of the process.
-    A product hides an exchange of its factors (120 kV and 60 mA are the power of 60 kV and 120 mA), and wide limits hide a program that is
-    half as fast throughout: so each value is held against the one of the settings."""
+    """Every value that is set, and the feed of every motion that lays metal, against the settings of the process. A product hides
+    an exchange of its factors (120 kV and 60 mA are the power of 60 kV and 120 mA), and wide limits hide a program that is half as
+    fast throughout: so each value is held against the one of the settings."""
     process = config.process
     speeds = f"up to {process.current_ma:g} mA, at {process.travel_speed_mm_s:g} mm/s"
     faults = _by_row([*_set_values(nc, config), *_feeds(nc, config)])

@@ -1,4 +1,5 @@
-"""``ebamcheck regress``, ``select`` and ``conform``: how far slicers are from the truth, which suit this machine, what the kit finds; and ``judge``, the heat model beside 3DThesis."""
+"""``ebamcheck regress``, ``select`` and ``conform``: how far slicers are from the truth, which suit this machine, what the kit
+finds; and ``judge``, the heat model beside 3DThesis."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""``ebamcheck live`` and ``relayer``: a build followed by its measured heights, and one layer of a finished run made again at one."""
+"""``ebamcheck live`` and ``relayer``: a build followed by its measured heights, and one layer of a finished run made again at
+one."""
 
 from __future__ import annotations
 

@@ -55,7 +55,8 @@ def machine_command(
     fault: list[str] | None = None,
     sessions: Annotated[int, Option(min=1, help="Sessions that the OPC UA server has.")] = SESSIONS,
 ) -> ExitCode:
-    """Play a control with an OPC UA server, start `ebamcheck live RUN` beside it, and build the part, whose layers grow by a stated law.
+    """Play a control with an OPC UA server, start `ebamcheck live RUN` beside it, and build the part, whose layers grow by a stated
+    law.
 
     Example: ebamcheck machine blade.run --drift 0.1 --noise 0.05 --speed 100
     """

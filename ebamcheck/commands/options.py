@@ -47,7 +47,8 @@ KNOWN: dict[str, Any] = {
 
 
 def explained(**given: Any) -> Callable[[Command], Command]:
-    """Make options of the parameters of a command that are none yet, each with its help or as given, else as known; a bool is a flag."""
+    """Make options of the parameters of a command that are none yet, each with its help or as given, else as known; a bool is a
+    flag."""
     short = {"output": ("-o", "--output"), "config_file": ("-c", "--config")}
 
     def made(function: Command) -> Command:
@@ -189,7 +190,8 @@ def print_json(value: Any) -> None:
 
 
 def stack_of_run(folder: Path, config_file: Path | None) -> tuple[Config, Curves, ScanPlan, str]:
-    """Settings, paths of the contour beads, scan plan and part's hash of a finished run; other settings only where a file names them."""
+    """Settings, paths of the contour beads, scan plan and part's hash of a finished run; other settings only where a file names
+    them."""
     from ebamcheck.curves import Curves
     from ebamcheck.record.run_folder import MANIFEST, RunFolder
     from ebamcheck.scan import ScanPlan

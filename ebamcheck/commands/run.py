@@ -1,5 +1,5 @@
-"""``ebamcheck run``, ``check``, ``verify`` and ``preflight``: the whole job, its cross-check alone, a finished run or a program worked out again,
-and what can be said before a job."""
+"""``ebamcheck run``, ``check``, ``verify`` and ``preflight``: the whole job, its cross-check alone, a finished run or a program
+worked out again, and what can be said before a job."""
 
 from __future__ import annotations
 

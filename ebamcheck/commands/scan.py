@@ -246,8 +246,8 @@ def _export(
 ) -> None:
     """Write the path of each order for each simulator, as paths/ORDER/SIMULATOR, at the height over the plate.
 
-    A stack's first layer is as high as its step to the second: so the layer is the second of two, at twice that step, the lower one empty.
-    """
+    A stack's first layer is as high as its step to the second: so the layer is the second of two, at twice that step, the lower one
+    empty."""
     step_mm = 0.5 * max(over_plate_mm, 1e-3)
     heights = np.array([height_mm - step_mm, height_mm])
     for name, result in shown.items() if simulators else ():
@@ -277,8 +277,8 @@ def order_pictures(
 ) -> dict[str, str]:
     """Texts by file name: two maps an order, and its last temperatures, all in one frame and on one scale.
 
-    It ends at the hottest entry, or what most of a finished layer is under, and at boiling at last; `figures` are travel and hottest entry.
-    """
+    It ends at the hottest entry, or what most of a finished layer is under, and at boiling at last; `figures` are travel and
+    hottest entry."""
     islands, section = compared.laid.islands, compared.laid.regions.section
     plans = {name: result.plan for name, result in results.items()}
     scenes = {

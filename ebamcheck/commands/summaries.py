@@ -86,7 +86,8 @@ def run_summary(manifest: Mapping[str, Any]) -> str:
 
 
 def worst_line(manifest: Mapping[str, Any]) -> str:
-    """The worst finding of a run that failed: a part that is none, else slicers that disagree, else faults, else the first shut gate."""
+    """The worst finding of a run that failed: a part that is none, else slicers that disagree, else faults, else the first shut
+    gate."""
     if not manifest["exit_code"]:
         return ""
     shut = {gate["name"]: gate for gate in manifest["gates"] if not gate["passed"]}

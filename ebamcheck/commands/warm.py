@@ -1,4 +1,5 @@
-"""``ebamcheck warm``: compiles the kernels of the main job once, by doing that job on small parts in two processes that begin at its two ends.
+"""``ebamcheck warm``: compiles the kernels of the main job once, by doing that job on small parts in two processes that begin at
+its two ends.
 
 Commands that need most kernels begin with this; those that need few compile them as they are called.
 """
@@ -60,7 +61,8 @@ def warm_kernels() -> bool:
 
 
 def _mark() -> Path | None:
-    """Return the file that says that the kernels of this project and of its installed slicers are compiled; None without a cache."""
+    """Return the file that says that the kernels of this project and of its installed slicers are compiled; None without a
+    cache."""
     from ebamcheck.kernels import cache_folder
     from ebamcheck.plugins import registry
 

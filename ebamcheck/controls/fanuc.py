@@ -1,8 +1,8 @@
 """Fanuc-like controls: one file with a program number, arcs by I and J, look-ahead off, comments in parentheses.
 
-Places, values, feeds and waits carry a decimal point, without which they may be read in thousandths (parameters 3401, 1403). Beam and wire
-are G codes that call custom macros (6050 to 6059). Each axis of a rapid goes at its own speed (1401). Source: Fanuc 30i B-64484EN.
-"""
+Places, values, feeds and waits carry a decimal point, without which they may be read in thousandths (parameters 3401, 1403). Beam
+and wire are G codes that call custom macros (6050 to 6059). Each axis of a rapid goes at its own speed (1401). Source: Fanuc 30i
+B-64484EN."""
 
 from __future__ import annotations
 

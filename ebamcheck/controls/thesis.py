@@ -1,8 +1,9 @@
-"""Post-processor for the heat simulator 3DThesis: the analytic heat of a moving Gaussian beam on a half space of constant material data.
+"""Post-processor for the heat simulator 3DThesis: the analytic heat of a moving Gaussian beam on a half space of constant material
+data.
 
-A row of its table is a mode, a position in mm, a share of the power, and a parameter: mode 1 stays for so many seconds, mode 0 moves there
-at so many m/s. Keywords as its ``Init.cpp`` reads them: groups in braces, lengths in metres; paths and points in millimetres.
-"""
+A row of its table is a mode, a position in mm, a share of the power, and a parameter: mode 1 stays for so many seconds, mode 0
+moves there at so many m/s. Keywords as its ``Init.cpp`` reads them: groups in braces, lengths in metres; paths and points in
+millimetres."""
 
 from __future__ import annotations
 
@@ -58,7 +59,8 @@ class HeatPath:
         return np.asarray(np.cumsum(np.where(line, moved, self.rows[:, 5])), np.float64)
 
     def of_layer(self, layer: int | None) -> HeatPath:
-        """Path of one layer, which begins where its first bead does, the whole one for None; SettingsError where it has no such layer."""
+        """Path of one layer, which begins where its first bead does, the whole one for None; SettingsError where it has no such
+        layer."""
         if layer is None:
             return self
         if not (self.layer == layer).any():
@@ -71,7 +73,8 @@ class HeatPath:
 
 
 def case_post(control: str) -> Callable[..., ProgramFiles]:
-    """Writer of a simulator, which takes a `layer`, too; raises :class:`SettingsError` for a control, which takes a whole program."""
+    """Writer of a simulator, which takes a `layer`, too; raises :class:`SettingsError` for a control, which takes a whole
+    program."""
     found = control_named(control)
     if found.is_read:
         raise SettingsError(f"--layer: {control} takes a whole program; one layer is for heat simulators")

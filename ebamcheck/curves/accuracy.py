@@ -336,7 +336,8 @@ ANGLE_MARGIN_RAD = 1e-9
 
 
 def polar_radius(ring: ArrayLike, centre: ArrayLike, theta_rad: ArrayLike) -> Floats:
-    """Distance (m,), mm, from `centre` at which a ray in each direction (m,), counter-clockwise from +x, meets a closed ring (n, 2).
+    """Distance (m,), mm, from `centre` at which a ray in each direction (m,), counter-clockwise from +x, meets a closed ring (n,
+    2).
 
     NaN where a ray meets the ring never or more than once.
     """

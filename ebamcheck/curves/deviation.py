@@ -126,9 +126,8 @@ def fit_deviation(curves: Curves, layers: Layers) -> pd.DataFrame:
     """Distance between curves and the contours that they were fitted to, one row a layer.
 
     ``kept_points_mm`` is the greatest distance of a point that the cleaning kept from the curve (rounding, for a fit that
-    interpolates), ``points_mm`` of any point of the contour, ``bulge_mm`` of the curve from the contour's segments; ``blocks`` counts
-    NC blocks. Raises :class:`SettingsError` if the layers have other heights or rings.
-    """
+    interpolates), ``points_mm`` of any point of the contour, ``bulge_mm`` of the curve from the contour's segments; ``blocks``
+    counts NC blocks. Raises :class:`SettingsError` if the layers have other heights or rings."""
     same = np.array_equal(curves.heights, layers.heights) and np.array_equal(
         curves.layer_starts, layers.layer_starts
     )

@@ -41,8 +41,8 @@ LARGEST_INFLECTION = np.sin(np.deg2rad(5.0))
 
 OF_SAGITTAS = 8.0
 """Largest distance between a curve and its contour, over the largest sagitta of the mesh there or the median one, by the greater,
-and over the sine of the slope. On a regular mesh the surface is one sagitta off, over the longest facets of scattered points up
-to six: of 1,394 rings of 255 meshes of known parts, all that are farther off than four are nearer to their part than the contour."""
+and over the sine of the slope. On a regular mesh the surface is one sagitta off, over the longest facets of scattered points up to
+six: of 1,394 rings of 255 meshes of known parts, all that are farther off than four are nearer to their part than the contour."""
 
 
 PLANE_FACETS = 4.0  # Least area of a plane, over the mean area of the facets of curved regions, for it to be one for certain

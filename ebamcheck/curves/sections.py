@@ -198,7 +198,8 @@ def refined(
 
 
 class _Divided(NamedTuple):
-    """Segments divided into equal parts: whether their sections are known, and cubics follow them; places and directions between."""
+    """Segments divided into equal parts: whether their sections are known, and cubics follow them; places and directions
+    between."""
 
     known: Bools
     followed: Bools

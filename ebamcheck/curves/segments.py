@@ -1,4 +1,5 @@
-"""Segments: lines, cubics and arcs in a row, one for each segment of a contour at first, from which the pieces of curves are made."""
+"""Segments: lines, cubics and arcs in a row, one for each segment of a contour at first, from which the pieces of curves are
+made."""
 
 from __future__ import annotations
 

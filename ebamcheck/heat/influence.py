@@ -222,7 +222,8 @@ def at_roots(tables: Floats, root: Floats) -> Floats:
 
 @kernel
 def table_place(since: float, nodes: float, horizon: float, columns: int) -> tuple[np.int32, float]:
-    """Node before a time since the end of a source, and how far it is to the next one; without branches, for several times at once."""
+    """Node before a time since the end of a source, and how far it is to the next one; without branches, for several times at
+    once."""
     young = since < horizon
     root = np.sqrt(max(since, 0.0) / horizon if young else since - horizon)
     place = (YOUNG_NODES - 1.0) * root if young else (YOUNG_NODES - 1.0) + nodes * root

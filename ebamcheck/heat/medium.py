@@ -1,4 +1,5 @@
-"""The conducting material, in the units of the model: mm, s, W, K; and the limits of power, wire and temperature that follow from it."""
+"""The conducting material, in the units of the model: mm, s, W, K; and the limits of power, wire and temperature that follow from
+it."""
 
 from __future__ import annotations
 
@@ -201,7 +202,8 @@ def width_limits_mm(config: Config, thickness_mm: float, power_share: float = 1.
 
 
 def entry_limit_k(config: Config) -> float:
-    """Absolute temperature of the metal above which no bead may begin, K: whatever is set, that at which it begins to melt at most."""
+    """Absolute temperature of the metal above which no bead may begin, K: whatever is set, that at which it begins to melt at
+    most."""
     process, material = config.process, config.material
     limit_k = process.interpass_limit_k
     if limit_k is None:

@@ -1,8 +1,8 @@
 """A preheating scan: the region that it covers, the lines of each pass, and its heat.
 
-The heat's mean is that of the body, by the column of the balance; what differs across it goes by modes. The body is the base plate, or what stands under the layer that comes. The beam is wide and moves along lines; heat enters at the
-surface. Its way is given as pieces in time, from a plan or from the text of a program, and both are simulated by the same steps.
-"""
+The heat's mean is that of the body, by the column of the balance; what differs across it goes by modes. The body is the base plate,
+or what stands under the layer that comes. The beam is wide and moves along lines; heat enters at the surface. Its way is given as
+pieces in time, from a plan or from the text of a program, and both are simulated by the same steps."""
 
 from __future__ import annotations
 

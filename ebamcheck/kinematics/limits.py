@@ -66,7 +66,8 @@ class DrivenPath:
         return np.asarray(result / np.where(size > 0.0, size, 1.0)[:, None])
 
     def derivatives(self, rows: Ints, t: Floats) -> tuple[Floats, Floats]:
-        """First and second derivative of X and Y by t, each (2, n), or (2, m, n) at several parameters `t` (m, n) of each motion."""
+        """First and second derivative of X and Y by t, each (2, n), or (2, m, n) at several parameters `t` (m, n) of each
+        motion."""
         powers = np.ascontiguousarray(self.coefficients[rows].transpose(2, 1, 0))
         _, b, c, d = powers[:, :, None] if t.ndim > 1 else powers
         first, second = b + t * (2.0 * c + 3.0 * t * d), 2.0 * c + 6.0 * t * d
@@ -166,7 +167,8 @@ STRAIGHT_RADIUS_MM = 1e9  # A corner that may be rounded with a larger radius is
 
 @dataclass(frozen=True, eq=False)
 class Cells:
-    """Stretches of the path, about as long as a ramp from rest to the feed, along each of which the greatest speed is held constant."""
+    """Stretches of the path, about as long as a ramp from rest to the feed, along each of which the greatest speed is held
+    constant."""
 
     motion: Ints  # (C,) motion of the path
     length_mm: Floats  # (C,)
@@ -245,7 +247,8 @@ def _curvature(first: Floats, second: Floats) -> Floats:
 
 
 def _bends(path: DrivenPath, rows: Ints, t0: Floats, t1: Floats) -> Floats:
-    """Of stretches (n,) of curves, by columns (5, n): greatest curvature, 1/mm, greatest share of each axis in the direction, length, mm."""
+    """Of stretches (n,) of curves, by columns (5, n): greatest curvature, 1/mm, greatest share of each axis in the direction,
+    length, mm."""
     t = np.linspace(t0, t1, PLACES)
     first, second = path.derivatives(rows, t)
     speed = np.hypot(*first)
@@ -264,11 +267,10 @@ def _bends(path: DrivenPath, rows: Ints, t0: Floats, t1: Floats) -> Floats:
 
 
 def corner_speeds(path: DrivenPath, config: Config) -> Floats:
-    """Greatest speed (B,) at the start of each motion, from the tangents and curvatures that meet there: the one whose jump the axes take, or that of a
-    rounding within the smoothing tolerance e. A break of direction p is rounded by an arc of radius r = e cos(p/2) / (1 - cos(p/2)) that takes at most half
-    of either motion; a jump of curvature k by a clothoid of length sqrt(24 e / k), whose shift is e. The acceleration must stay within its share, its rise
-    within the jerk.
-    """
+    """Greatest speed (B,) at the start of each motion, from the tangents and curvatures that meet there: the one whose jump the
+    axes take, or that of a rounding within the smoothing tolerance e. A break of direction p is rounded by an arc of radius r = e
+    cos(p/2) / (1 - cos(p/2)) that takes at most half of either motion; a jump of curvature k by a clothoid of length sqrt(24 e /
+    k), whose shift is e. The acceleration must stay within its share, its rise within the jerk."""
     axes, machine = config.kinematics, config.machine
     result = np.full(len(path), np.inf)
     if len(path) < 2:

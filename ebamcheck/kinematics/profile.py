@@ -40,9 +40,9 @@ class FeedProfile:
     def slow(self) -> pd.DataFrame:
         """Stretches of deposits under `dip_share` of the feed programmed, in the order of the path.
 
-        Columns `sort` (``start`` and ``end`` of a track, or ``dip``), `layer`, `ring`, `where`, `time_s`, `length_mm`, `least_mm_s`, `feed_mm_s`,
-        `excess_mm3` and `metal_per_mm`: the metal of a millimetre over that at the feed programmed, at its worst; infinite where the axes stop.
-        """
+        Columns `sort` (``start`` and ``end`` of a track, or ``dip``), `layer`, `ring`, `where`, `time_s`, `length_mm`,
+        `least_mm_s`, `feed_mm_s`, `excess_mm3` and `metal_per_mm`: the metal of a millimetre over that at the feed programmed, at
+        its worst; infinite where the axes stop."""
         cells, path = self.cells, self.path
         feed = path.feed_mm_s[cells.motion]
         speeds, limits = (self.entry, self.top, self.exit), (cells.acceleration_mm_s2, cells.jerk_mm_s3)
@@ -93,11 +93,11 @@ class FeedProfile:
 
 
 def feed_profile(nc: NCProgram, config: Config) -> FeedProfile:
-    """Work out the feed along a program's path, with the limits of the axes and look-ahead; raises SettingsError if a motion has no feed.
+    """Work out the feed along a program's path, with the limits of the axes and look-ahead; raises SettingsError if a motion has no
+    feed.
 
-    The axes stand still at rapids and where beam or wire switch. Within a run, corners and curvature limit the speed as :mod:`ebamcheck.kinematics.limits`
-    says, and ramps with limited acceleration and jerk join what is left.
-    """
+    The axes stand still at rapids and where beam or wire switch. Within a run, corners and curvature limit the speed as
+    :mod:`ebamcheck.kinematics.limits` says, and ramps with limited acceleration and jerk join what is left."""
     path = program_path(nc, config)
     return _profile(path, config, tuple(nc.where(int(row)) for row in path.row))
 
@@ -108,7 +108,8 @@ def polyline_profile(layers: Layers, config: Config) -> FeedProfile:
 
 
 def side_by_side(nc: NCProgram, contours: Layers, config: Config) -> pd.DataFrame:
-    """Contour beads of a program beside polylines through the points of `contours`, one row each; ends of tracks are left out of `least_share`."""
+    """Contour beads of a program beside polylines through the points of `contours`, one row each; ends of tracks are left out of
+    `least_share`."""
     paths = {"program": feed_profile(nc, config), "polyline": polyline_profile(contours, config)}
     return pd.DataFrame([_row(name, profile) for name, profile in paths.items()]).set_index("path")
 
@@ -153,10 +154,11 @@ START, DIP, END = range(3)
 
 @kernel
 def slow_stretches(cells: Floats, slow: Floats, first: Bools) -> tuple[Ints, Ints, Floats, Floats, Floats]:
-    """Stretches of each run that are slower than a threshold (C,), by the cells (C, 6): length, entry, peak and exit speed, acceleration, jerk.
+    """Stretches of each run that are slower than a threshold (C,), by the cells (C, 6): length, entry, peak and exit speed,
+    acceleration, jerk.
 
-    Returns `sort`, `cell`, `time`, `length`, `least`: (D,) each: :data:`START`, :data:`DIP` or :data:`END`, cell of the least speed, s, mm, mm/s.
-    """
+    Returns `sort`, `cell`, `time`, `length`, `least`: (D,) each: :data:`START`, :data:`DIP` or :data:`END`, cell of the least
+    speed, s, mm, mm/s."""
     count = len(cells)
     sort, where = np.zeros(2 * count + 1, np.int64), np.zeros(2 * count + 1, np.int64)
     time, length, least = np.zeros(2 * count + 1), np.zeros(2 * count + 1), np.zeros(2 * count + 1)
@@ -203,9 +205,8 @@ def dip_table(
 ) -> pd.DataFrame:
     """Slow stretches as a table; `feed_mm_s` (C,) is that of each cell, `bead_mm2` the bead's section at it.
 
-    The wire runs at its own speed, so that a stretch of length l that takes the time t gets A (v_set t - l) of metal too much, and at the speed v the bead
-    has v_set / v of its section.
-    """
+    The wire runs at its own speed, so that a stretch of length l that takes the time t gets A (v_set t - l) of metal too much, and
+    at the speed v the bead has v_set / v of its section."""
     sort, cell, time, length, least = stretches
     feed = feed_mm_s[cell]
     with np.errstate(divide="ignore"):
@@ -294,9 +295,9 @@ def time_to(first: float, last: float, speed: float, acceleration: float, jerk: 
 def look_ahead(
     length: Floats, most: Floats, acceleration: Floats, jerk: Floats, entry: Floats, first: Bools
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """Entry, peak and exit speed of each cell, and its time, all (C,): the greatest speeds that keep every limit and ramp without acceleration at the
-    borders of cells. A pass backwards lowers each to what can still be braked from, a pass forwards to what can be reached.
-    """
+    """Entry, peak and exit speed of each cell, and its time, all (C,): the greatest speeds that keep every limit and ramp without
+    acceleration at the borders of cells. A pass backwards lowers each to what can still be braked from, a pass forwards to what can
+    be reached."""
     count = length.size
     begin, end, top, time = np.zeros(count), np.zeros(count), np.zeros(count), np.zeros(count)
     for c in range(count):

@@ -1,7 +1,6 @@
-"""The Common Layer Interface: slice files (``.cli``) of machines and other programs, version 2.0 (Brite-EuRam BE 2578).
-Text is exact; the binary form rounds coordinates and heights to 32-bit floats (6e-8 of them at most).
-The height of a layer is that of its cut; the format means the top of a layer, and other programs differ in which of the two they write.
-"""
+"""The Common Layer Interface: slice files (``.cli``) of machines and other programs, version 2.0 (Brite-EuRam BE 2578). Text is
+exact; the binary form rounds coordinates and heights to 32-bit floats (6e-8 of them at most). The height of a layer is that of its
+cut; the format means the top of a layer, and other programs differ in which of the two they write."""
 
 from __future__ import annotations
 
@@ -52,9 +51,8 @@ _log = logging.getLogger(__name__)
 def read_cli(path: str | Path) -> Layers:
     """Read the contours of a slice file, text or binary; errors name the line, or the byte.
 
-    A polyline whose points contradict its declared direction is reversed, with a warning in the log: the direction shows which side is
-    solid. A layer at the height of the previous one continues it. Polylines of all models are joined, hatch lines left out.
-    """
+    A polyline whose points contradict its declared direction is reversed, with a warning in the log: the direction shows which side
+    is solid. A layer at the height of the previous one continues it. Polylines of all models are joined, hatch lines left out."""
     path = Path(path)
     try:
         data = regular_file(path).read_bytes()

@@ -1,4 +1,5 @@
-"""Layers in files: a format for each suffix, and Parquet, one row a layer, written and read in blocks of layers, every number bit for bit."""
+"""Layers in files: a format for each suffix, and Parquet, one row a layer, written and read in blocks of layers, every number bit
+for bit."""
 
 from __future__ import annotations
 
@@ -142,7 +143,8 @@ def write_parquet(layers: Layers, path: str | Path) -> None:
 
 
 def write_blocks(blocks: Iterable[Layers], path: str | Path) -> int:
-    """Write blocks of one stack to a Parquet file, one while the next is made, which appears when the last is written; returns the number of layers."""
+    """Write blocks of one stack to a Parquet file, one while the next is made, which appears when the last is written; returns the
+    number of layers."""
     count = 0
     with replacing(path) as temporary, ExitStack() as opened:
         file: pq.ParquetWriter | None = None
@@ -176,7 +178,8 @@ def read_parquet(path: str | Path) -> Layers:
 
 
 class LayerFile:
-    """A stack in a Parquet file, held open, of which blocks are read, without `edges` the contours alone; :class:`InputError` for damaged pages."""
+    """A stack in a Parquet file, held open, of which blocks are read, without `edges` the contours alone; :class:`InputError` for
+    damaged pages."""
 
     def __init__(self, path: str | Path, edges: bool = True) -> None:
         self.path = Path(path)
@@ -252,9 +255,8 @@ SUFFIX, BLOCK = ".blocks", ".arrow"
 class KeptBlocks:
     """Blocks of one stack, each in a file of its own beside that of the stack, so that a killed run need not cut them again.
 
-    The format is Arrow's own, uncompressed: writing costs little more than a copy in memory. Of a slicer that cuts hardly slower than a
-    block is written, only the first two are kept: the time of the first includes loading. `part` is the part's hash.
-    """
+    The format is Arrow's own, uncompressed: writing costs little more than a copy in memory. Of a slicer that cuts hardly slower
+    than a block is written, only the first two are kept: the time of the first includes loading. `part` is the part's hash."""
 
     def __init__(self, file: Path, part: str, backend: str) -> None:
         self.folder = _folder_of(file)
@@ -273,7 +275,8 @@ class KeptBlocks:
         return layers if fits else None
 
     def is_worth(self, cut_s: float) -> bool:
-        """Whether a block that took `cut_s` to cut is worth keeping, by how long the last one took to write: at most a fifth of that."""
+        """Whether a block that took `cut_s` to cut is worth keeping, by how long the last one took to write: at most a fifth of
+        that."""
         return cut_s >= 5.0 * self._write_s
 
     def write(self, layers: Layers) -> None:

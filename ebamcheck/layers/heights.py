@@ -1,4 +1,5 @@
-"""Heights at which a part is cut, those of its settings or given ones, blocks of them that fit in memory, and layer heights that fit the part.
+"""Heights at which a part is cut, those of its settings or given ones, blocks of them that fit in memory, and layer heights that
+fit the part.
 
 Each layer has one section all through its height: at a level face within a layer metal is added, or lacks.
 """
@@ -99,7 +100,8 @@ def crossing_counts(part: Part, heights: ArrayLike) -> NDArray[np.int64]:
 
 
 def layer_blocks(part: Part, heights: ArrayLike, most_points: int) -> NDArray[np.int64]:
-    """Borders (B + 1,) from 0 to L of blocks of layers, of at most so many points (one a cut facet) or of one layer; ``[0, 0]`` without a layer."""
+    """Borders (B + 1,) from 0 to L of blocks of layers, of at most so many points (one a cut facet) or of one layer; ``[0, 0]``
+    without a layer."""
     ends = np.cumsum(crossing_counts(part, heights))
     borders = [0]
     while borders[-1] < ends.size:
@@ -121,7 +123,8 @@ def cut_heights(part: Part, config: Config) -> Floats:
 
 
 def heights_within(part: Part, heights: ArrayLike, named: str) -> Floats:
-    """Return heights that all cut the part, its lowest point (the section is that at z = h + 0) and its highest among them; `named` tells who gave them."""
+    """Return heights that all cut the part, its lowest point (the section is that at z = h + 0) and its highest among them; `named`
+    tells who gave them."""
     column = checked_heights(heights)
     low, high = part.bounds[:, 2].tolist()
     outside = np.flatnonzero((column < low) | (column > high))

@@ -1,4 +1,5 @@
-"""Pictures of layers as self-contained SVG, y up, reduced to what a screen shows: one layer, an overlay of several slicers, or a sheet of layers."""
+"""Pictures of layers as self-contained SVG, y up, reduced to what a screen shows: one layer, an overlay of several slicers, or a
+sheet of layers."""
 
 from __future__ import annotations
 
@@ -63,9 +64,8 @@ def layer_svg(
 ) -> str:
     """Draw one layer as an SVG document: solid region, rings, open paths, scale bar and counts.
 
-    A negative `layer` counts from the top. `box` is what is shown (xmin, ymin, xmax, ymax, mm; None: the layer itself), `title` the text
-    above it (None: layer, height and counts).
-    """
+    A negative `layer` counts from the top. `box` is what is shown (xmin, ymin, xmax, ymax, mm; None: the layer itself), `title` the
+    text above it (None: layer, height and counts)."""
     k = index_of(layer, len(layers))
     view = _view(box or _layer_box([(layers, k)]), width_px, MARGIN_PX, TITLE_PX)
     return _document(_region(layers, k, view), view, width_px, _title(layers, k) if title is None else title)
@@ -79,7 +79,8 @@ def overlay_svg(
     box: Box | None = None,
     title: str | None = None,
 ) -> str:
-    """Draw one layer of several slicers on top of each other, each with its own colour and dash, and a legend; see :func:`layer_svg`."""
+    """Draw one layer of several slicers on top of each other, each with its own colour and dash, and a legend; see
+    :func:`layer_svg`."""
     if not stacks:
         raise SettingsError("no stacks to draw over each other: give at least one")
     chosen = [(layers, index_of(layer, len(layers))) for layers in stacks.values()]
@@ -98,7 +99,8 @@ def overlay_svg(
 def sheet_svg(
     layers: Layers, *, width_px: int = 1200, columns: int = 4, most: int = 16, exact: bool = False
 ) -> str:
-    """Draw up to `most` layers side by side at one scale; `exact` holds all contours of all layers with every digit, those not chosen hidden."""
+    """Draw up to `most` layers side by side at one scale; `exact` holds all contours of all layers with every digit, those not
+    chosen hidden."""
     if not len(layers):
         raise SettingsError("no layers to draw: the stack is empty")
     count = min(most, len(layers))

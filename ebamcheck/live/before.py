@@ -92,8 +92,8 @@ def metal_checks(
 ) -> tuple[list[Check], Before]:
     """Checks of a layer's metal on what stands, and what stands with it; its heat is that before it.
 
-    Sums count from the plate up, by the limits of a whole part, the layer and the surface by those of a single one. It has to pass by its
-    text alone, too, on a level surface; and spool and cathode have to last for it with what the layers below took of them.
+    Sums count from the plate up, by the limits of a whole part, the layer and the surface by those of a single one. It has to pass
+    by its text alone, too, on a level surface; and spool and cathode have to last for it with what the layers below took of them.
     """
     z_of = deposition_heights(witness.heights, config.layer_height_mm, config.base_mm)
     below = before.below or MetalBelow()
@@ -157,9 +157,8 @@ def check_warmth(before: Before, found: Warmth, config: Config) -> None:
 def corrected(before: Before, found: Warmth, config: Config) -> tuple[Before, Correction]:
     """Return what stands at the moment of a reading, as warm as was measured, and what was done to it.
 
-    How much of the beam's power the part takes up is least known, and its rise over the chamber is linear in it as long as conduction
-    carries the heat: so the whole rise is multiplied by that of the surface as measured over that as worked out.
-    """
+    How much of the beam's power the part takes up is least known, and its rise over the chamber is linear in it as long as
+    conduction carries the heat: so the whole rise is multiplied by that of the surface as measured over that as worked out."""
     then = before.rested(found.after_s)
     modelled_k, chamber_k = then.surface_k, config.process.ambient_temperature_k
     factor = (found.surface_k - chamber_k) / (modelled_k - chamber_k)

@@ -1,4 +1,5 @@
-"""The state of a build between its layers, and its door of JSON lines: a reading comes in, is judged, the next layer is made and published.
+"""The state of a build between its layers, and its door of JSON lines: a reading comes in, is judged, the next layer is made and
+published.
 
 Readings alone decide, neither the clock nor chance, so that the journal is enough to make every byte again.
 """
@@ -385,9 +386,8 @@ def answer_to(building: Building, line: bytes) -> Answer:
 class BetweenLayers:
     """What is done after each answer of a build, when nobody waits: tables are written and memory is given back.
 
-    Python looks for cycles among half a million objects that stay, for a quarter of a second, in the middle of a layer: so what stays is
-    set aside once it is loaded, and what a layer leaves is collected after it.
-    """
+    Python looks for cycles among half a million objects that stay, for a quarter of a second, in the middle of a layer: so what
+    stays is set aside once it is loaded, and what a layer leaves is collected after it."""
 
     def __init__(self, building: Building) -> None:
         self._building, self._layers = building, 0

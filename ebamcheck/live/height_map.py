@@ -1,7 +1,8 @@
-"""What is measured under the next layer, from file or line to the cells of the part's metal, and what is wrong with it; nothing is guessed.
+"""What is measured under the next layer, from file or line to the cells of the part's metal, and what is wrong with it; nothing is
+guessed.
 
-Cells along the border hold the low flank of a bead, and get the height of the nearest cell within. Heights are kept to a micrometre.
-"""
+Cells along the border hold the low flank of a bead, and get the height of the nearest cell within. Heights are kept to a
+micrometre."""
 
 from __future__ import annotations
 
@@ -53,7 +54,8 @@ class Refused(InputError):
 
 @dataclass(frozen=True, eq=False)
 class HeightMap:
-    """Measured places (n,) in the coordinates of the program, without holes; heights over the base plate; distance of neighbours."""
+    """Measured places (n,) in the coordinates of the program, without holes; heights over the base plate; distance of
+    neighbours."""
 
     x_mm: Floats
     y_mm: Floats
@@ -202,7 +204,8 @@ class MapCells:
 
 
 def in_cells(found: HeightMap, surface: Surface) -> MapCells:
-    """Lay a map into cells: the mean of the places in one; between coarser places, by their distance; beyond a step of the map, holes."""
+    """Lay a map into cells: the mean of the places in one; between coarser places, by their distance; beyond a step of the map,
+    holes."""
     rows, columns = surface.share.shape
     at = np.stack([found.x_mm, found.y_mm]) / surface.step_mm - np.array(surface.corner)[:, None]
     column, row = np.floor(at).astype(np.int64)
@@ -327,7 +330,8 @@ class Warmth:
 
 @dataclass(frozen=True)
 class Reading:
-    """A height that was measured when so many layers were done; the map of which it is the mean, and the temperature, if there are."""
+    """A height that was measured when so many layers were done; the map of which it is the mean, and the temperature, if there
+    are."""
 
     done: int
     height_mm: float

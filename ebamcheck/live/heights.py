@@ -1,8 +1,8 @@
 """Heights of the layers that are still to come, from what stands to the part's top, and the feed at which one of a height is laid.
 
-Level faces are borders of layers where the bead allows it; the cusp of a layer is its height times the cosine of the surface's slope (Dolenc
-and Makela 1994). Wire goes with feed times height, v_wire A = v b h: within the limits of the wire the feed stays, beyond them both change.
-"""
+Level faces are borders of layers where the bead allows it; the cusp of a layer is its height times the cosine of the surface's
+slope (Dolenc and Makela 1994). Wire goes with feed times height, v_wire A = v b h: within the limits of the wire the feed stays,
+beyond them both change."""
 
 from __future__ import annotations
 
@@ -68,9 +68,8 @@ def at_speed(config: Config, share: float) -> Config:
 def at_layer_feed(config: Config, thickness_mm: float, mapped: bool = False, along: bool = True) -> Config:
     """Return the settings of a layer with its feed; that of the process where no feed is within every limit: the gates tell of it.
 
-    The wire is left room for contours, and on a `mapped` surface for the local height: as much of it as a feed leaves, and where that is
-    not all, the feed follows `along` the path, too.
-    """
+    The wire is left room for contours, and on a `mapped` surface for the local height: as much of it as a feed leaves, and where
+    that is not all, the feed follows `along` the path, too."""
     least, most = LOCAL if mapped else (1.0, 1.0)
     parts = (1.0, 0.75, 0.5, 0.25, 0.0)
     found = (speed_share(config, thickness_mm, (least**part, (most * CONTOURS) ** part)) for part in parts)
@@ -233,7 +232,8 @@ class HeightPlan:
 
 @dataclass(frozen=True, eq=False)
 class HeightRule:
-    """How heights are chosen: the usual one, changed as little as faces ask for; ``listed`` tops; or ``adaptive``, as the cusp allows.
+    """How heights are chosen: the usual one, changed as little as faces ask for; ``listed`` tops; or ``adaptive``, as the cusp
+    allows.
 
     `by_feed` are limits where the feed follows, too, which it does where nothing within `limits` fits; None: it stays.
     """
@@ -366,7 +366,8 @@ class HeightRule:
 def height_rule(
     part: Part, config: Config, mode: Mode = "uniform", cusp_mm: float = 0.5, listed_mm: Sequence[float] = ()
 ) -> HeightRule:
-    """Rule of a part and its process; refused is a process that leaves no height, a cusp that is none, and heights that do not rise."""
+    """Rule of a part and its process; refused is a process that leaves no height, a cusp that is none, and heights that do not
+    rise."""
     if not (math.isfinite(cusp_mm) and cusp_mm > 0.0):
         raise SettingsError(f"cusp {cusp_mm} mm: give a positive number of millimetres")
     listed = tuple(float(z) for z in listed_mm)

@@ -57,7 +57,8 @@ class HeightsTable:
         self.add = self._waiting.append
 
     def write(self, ended: bool = False) -> None:
-        """Write the rows that wait, and now and then the plot, a table of before anew; a full disk costs the table, and not the build."""
+        """Write the rows that wait, and now and then the plot, a table of before anew; a full disk costs the table, and not the
+        build."""
         if self._waiting or (ended and self._written):
             with suppress(OSError):
                 self._write(ended)

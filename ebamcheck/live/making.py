@@ -99,7 +99,8 @@ class MadeLayer:
 
 
 class LayerMaker(AbstractContextManager["LayerMaker"]):
-    """A part as placed and two slicers, ready to make any layer of it; the contours of `primary`, or of the default one, become the program."""
+    """A part as placed and two slicers, ready to make any layer of it; the contours of `primary`, or of the default one, become the
+    program."""
 
     def __init__(self, part: Part, config: Config, primary: str = "", annealing_steps: int = 0) -> None:
         name = config.machine.control
@@ -163,8 +164,8 @@ class LayerMaker(AbstractContextManager["LayerMaker"]):
     def make(self, wanted: Wanted, before: Before, folder: Path) -> MadeLayer:
         """Make one layer on what stands; its program goes to `folder`, and is stamped as validated where every gate is open.
 
-        Where the feed follows along the path and a gate shuts, the plan aims cooler if the heat alone is over, and then the wire follows alone.
-        """
+        Where the feed follows along the path and a gate shuts, the plan aims cooler if the heat alone is over, and then the wire
+        follows alone."""
         mapped = before.surface is not None and before.surface.mapped
         config = self.config_of(wanted, mapped)
         made = self._made(wanted, before, folder, config)

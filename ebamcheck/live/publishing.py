@@ -1,7 +1,8 @@
-"""Publishing a layer, whole and on disk or not at all: its program under a new name, its settings and certificate; and the journal of a build.
+"""Publishing a layer, whole and on disk or not at all: its program under a new name, its settings and certificate; and the journal
+of a build.
 
-What is told beside a layer no gate judges: server and `verify` look at it once more. Each line of the journal carries the hash of the last.
-"""
+What is told beside a layer no gate judges: server and `verify` look at it once more. Each line of the journal carries the hash of
+the last."""
 
 from __future__ import annotations
 
@@ -118,9 +119,8 @@ def publish(
 ) -> dict[str, Any]:
     """Publish a layer that passed, from the place where it was made, in the folder of the build; the content of ``current.json``.
 
-    `before` is called when it lies on disk under its name and is not yet the current one. Refused is one that did not pass, one of which
-    the control would be told what is not so, and files that are not those that were verified.
-    """
+    `before` is called when it lies on disk under its name and is not yet the current one. Refused is one that did not pass, one of
+    which the control would be told what is not so, and files that are not those that were verified."""
     layer = f"layer {made.wanted.layer + 1}"
     if not made.passed:
         raise InputError(f"{layer}: is not validated and cannot be published: {made.why}")
@@ -163,7 +163,8 @@ def current_of(certificate: Mapping[str, Any]) -> dict[str, Any]:
 def current_off(
     place: Path, program: Path, current: Mapping[str, Any], paper: Mapping[str, Any]
 ) -> list[str]:
-    """What a control is told in `current` that is not so, by the file that it is to call and the certificate; empty where all is."""
+    """What a control is told in `current` that is not so, by the file that it is to call and the certificate; empty where all
+    is."""
     inside = program.parent == place and program.is_file()
     wanted: dict[str, Any] = {key: paper.get(key) for key in SAID}
     wanted |= {"name": place.parent.name, "sha256": sha256_of_file(program) if inside else None}
@@ -259,7 +260,8 @@ class Journal(AbstractContextManager["Journal"]):
 
 
 def read_journal(path: Path) -> Iterator[dict[str, Any]]:
-    """Entries of a journal, from the first; a last line that a kill has cut off is left out, a damaged one raises :class:`InputError`."""
+    """Entries of a journal, from the first; a last line that a kill has cut off is left out, a damaged one raises
+    :class:`InputError`."""
     return (entry for _, entry in _lines(path))
 
 

@@ -69,7 +69,8 @@ def check_below(folder: Path, run: FinishedRun, layer: int, measured_mm: float) 
 
 
 def tilted(before: FinishedRun, now: FinishedRun, built_mm: float) -> Config:
-    """Settings of a layer of a part that was built up to a height and is turned by the table, if that can; those given where the user turns it."""
+    """Settings of a layer of a part that was built up to a height and is turned by the table, if that can; those given where the
+    user turns it."""
     config, machine = now.config, now.config.machine
     if not machine.rotary:
         return config
@@ -94,7 +95,8 @@ def relayer(
     folder: Path,
     cells: MapCells | None = None,
 ) -> Relayered:
-    """Make a layer at a measured height, the mean of a map if there are `cells`, and publish it under a new name if every gate is open."""
+    """Make a layer at a measured height, the mean of a map if there are `cells`, and publish it under a new name if every gate is
+    open."""
     program = maker.config.machine.program_name
     made_folder(folder)
     if (folder / publishing.JOURNAL).is_file():

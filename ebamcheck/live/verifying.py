@@ -1,7 +1,7 @@
 """A build checked after the fact: its journal, the files that it published, and each layer from its text, part and settings alone.
 
-Heat and metal are followed from the plate up; above a layer whose heat or surface was measured, or that a scan preheats, nothing is said.
-"""
+Heat and metal are followed from the plate up; above a layer whose heat or surface was measured, or that a scan preheats, nothing is
+said."""
 
 from __future__ import annotations
 
@@ -75,7 +75,8 @@ def holds_layers(folder: Path) -> bool:
 def verify_build(
     folder: Path, part: Path, told: Callable[[VerifiedLayer], None] = lambda layer: None
 ) -> list[VerifiedLayer]:
-    """Verify every published layer of a build, and write down what was found; a damaged journal or part raises :class:`InputError`."""
+    """Verify every published layer of a build, and write down what was found; a damaged journal or part raises
+    :class:`InputError`."""
     if not part.is_file():
         raise InputError(f"{part}: cannot be read: there is no such file")
     found, spent, build = [], FRESH, is_build(folder)
@@ -100,7 +101,8 @@ def verify_build(
 
 
 def _published(folder: Path) -> Iterator[tuple[str, dict[str, str], Due | None]]:
-    """Name and hashes of the published layers, in order, and what the journal asks of each; where there is no build, by the certificates."""
+    """Name and hashes of the published layers, in order, and what the journal asks of each; where there is no build, by the
+    certificates."""
     if not is_build(folder):
         for path in sorted((folder / LAYERS).glob(f"*/{CERTIFICATE}")):
             try:
@@ -171,7 +173,8 @@ def _other_than(
 
 
 def _not_current(folder: Path, name: str) -> str:
-    """Why the layer that is to be called next is not the one that was published last, by certificate and file; empty where it is."""
+    """Why the layer that is to be called next is not the one that was published last, by certificate and file; empty where it
+    is."""
     try:
         current = publishing.read_current(folder) or {}
     except ValueError:
@@ -208,7 +211,8 @@ def read_verified(folder: Path) -> dict[str, VerifiedLayer]:
 def layer_text(
     program: Path, paper: Mapping[str, Any], config: Config
 ) -> tuple[BeadHeat, BaseGeometry] | None:
-    """Heat and section of one layer, whose certificate tells the wait before it; None where its text does not say how warm it makes the part.
+    """Heat and section of one layer, whose certificate tells the wait before it; None where its text does not say how warm it makes
+    the part.
 
     A text that cannot be read says nothing, and one that preheats has its temperatures judged where it is made.
     """
@@ -288,7 +292,8 @@ class FollowedMetal:
 
 
 def _same(told: Any, worked_out: dict[str, Any]) -> bool:
-    """Whether sums over layers, as a certificate has them, are those worked out: far nearer than with a layer less, less so by another slicer."""
+    """Whether sums over layers, as a certificate has them, are those worked out: far nearer than with a layer less, less so by
+    another slicer."""
     try:
         pairs = ((np.asarray(told[name], np.float64), value) for name, value in worked_out.items())
         return all(np.allclose(said, np.asarray(found), rtol=1e-3, atol=1e-3) for said, found in pairs)

@@ -330,7 +330,8 @@ class _Look:
 
 
 def boxes_meeting(lower: Floats, upper: Floats, deep_mm: float) -> NDArray[np.int64]:
-    """Pairs (N, 2) of boxes by their corners (B, 3), the later one first, that share more than a depth; all, or over :data:`MOST_PAIRS`."""
+    """Pairs (N, 2) of boxes by their corners (B, 3), the later one first, that share more than a depth; all, or over
+    :data:`MOST_PAIRS`."""
     import shapely
 
     boxes = np.asarray(shapely.box(*lower[:, :2].T, *upper[:, :2].T), object)

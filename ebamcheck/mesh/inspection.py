@@ -31,11 +31,10 @@ FACETS_AT_ONCE = 1 << 18  # facets of which the area is looked at together, to b
 class Inspection:
     """Result of the inspection of a part.
 
-    `verdict` is the first that applies of: ``open`` (edges with one facet), ``inconsistent`` (neighbouring facets with the same direction
-    along their edge), ``non-manifold`` (edges whose facets do not pair), ``flat`` (no volume), ``inside-out`` (a closed body of negative
-    volume outside any other), ``overlapping`` (more volume than the box around it: bodies that are too many to be united, or one that
-    passes through itself), ``sound``.
-    """
+    `verdict` is the first that applies of: ``open`` (edges with one facet), ``inconsistent`` (neighbouring facets with the same
+    direction along their edge), ``non-manifold`` (edges whose facets do not pair), ``flat`` (no volume), ``inside-out`` (a closed
+    body of negative volume outside any other), ``overlapping`` (more volume than the box around it: bodies that are too many to be
+    united, or one that passes through itself), ``sound``."""
 
     name: str
     facets: int
@@ -128,7 +127,8 @@ def inspect(part: Part) -> Inspection:
 def defects(
     part: Part, groups: EdgeGroups, lower_mm: float = -np.inf, upper_mm: float = np.inf
 ) -> tuple[dict[str, int], Index]:
-    """Figures of the vertices, edges and facets with their lowest point at ``lower_mm <= z < upper_mm``; and facets at open edges."""
+    """Figures of the vertices, edges and facets with their lowest point at ``lower_mm <= z < upper_mm``; and facets at open
+    edges."""
     z, faces = np.ascontiguousarray(part.vertices[:, 2]), part.faces
 
     def told(*corners: Index) -> Bools:
@@ -169,7 +169,8 @@ def inspection_of(
     relations: Sequence[Relation] = (),
     **of_bodies: Any,
 ) -> Inspection:
-    """Inspection by the figures of :func:`defects` and those of the bodies, of which each encloses one of the signed volumes (B,)."""
+    """Inspection by the figures of :func:`defects` and those of the bodies, of which each encloses one of the signed volumes
+    (B,)."""
     found = Inspection(
         name=part.name,
         size_mm=tuple(part.size.tolist()),
@@ -223,7 +224,8 @@ def _judged(found: Inspection, unpaired: int, enclosed_mm3: float) -> tuple[Verd
 
 
 def fix_orientation(part: Part) -> tuple[Part, int]:
-    """Reverse facets until neighbours agree, then closed inside-out bodies that are no cavities; returns the part and the number reversed."""
+    """Reverse facets until neighbours agree, then closed inside-out bodies that are no cavities; returns the part and the number
+    reversed."""
     groups = edge_groups(part.faces, len(part.vertices))
     flip = _consistent_flips(part.faces, groups.half_edges, groups.starts)
     faces = np.where(flip[:, None], part.faces[:, ::-1], part.faces)

@@ -1,4 +1,5 @@
-"""Strict readers of OBJ and PLY files: polygons become triangle fans, and what does not match the format is refused with its place."""
+"""Strict readers of OBJ and PLY files: polygons become triangle fans, and what does not match the format is refused with its
+place."""
 
 from __future__ import annotations
 

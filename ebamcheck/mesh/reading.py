@@ -1,4 +1,5 @@
-"""What the readers of mesh files share: formats that are not read, polygons as triangles, and the refusal of numbers that are none."""
+"""What the readers of mesh files share: formats that are not read, polygons as triangles, and the refusal of numbers that are
+none."""
 
 from __future__ import annotations
 
@@ -71,7 +72,8 @@ def how_to_read(suffix: str) -> str:
 
 
 def fans(sizes: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Triangle fans (T, 3) from the first corner of each polygon, as rows of corners numbered polygon after polygon; `sizes` (P,) are 3 or more.
+    """Triangle fans (T, 3) from the first corner of each polygon, as rows of corners numbered polygon after polygon; `sizes` (P,)
+    are 3 or more.
 
     >>> fans(np.array([3, 4])).tolist()
     [[0, 1, 2], [3, 4, 5], [3, 5, 6]]
@@ -91,7 +93,8 @@ def polygon_corners(
 
 
 def checked_finite(corners: Corners, name: str, first: int = 0) -> Corners:
-    """Return corner points (F, 3, 3) unchanged; raises :class:`InputError` with the place if one is not finite; `first` is the first facet."""
+    """Return corner points (F, 3, 3) unchanged; raises :class:`InputError` with the place if one is not finite; `first` is the
+    first facet."""
     wrong = np.argwhere(~np.isfinite(corners))
     if len(wrong):
         facet, corner, axis = wrong[0]

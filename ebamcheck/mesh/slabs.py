@@ -226,7 +226,8 @@ class Division:
 
 
 def closing_cones(vertices: Floats, faces: Index, lower_mm: float, upper_mm: float) -> Index:
-    """Facets (C, 3) that close the open edges of a mesh below `lower_mm` or above `upper_mm`, to vertices V and V + 1 beyond all others."""
+    """Facets (C, 3) that close the open edges of a mesh below `lower_mm` or above `upper_mm`, to vertices V and V + 1 beyond all
+    others."""
     groups = edge_groups(faces, len(vertices))
     balance = direction_balance(faces, groups)
     odd = np.flatnonzero(balance)
@@ -245,7 +246,8 @@ def closing_cones(vertices: Floats, faces: Index, lower_mm: float, upper_mm: flo
 
 
 def divided(file: FacetFile, heights: Floats, slabs: int, reach_mm: float) -> Division:
-    """Divide layers at ascending heights into slabs of about equal work, each with the facets within a reach that slicers and comparison look."""
+    """Divide layers at ascending heights into slabs of about equal work, each with the facets within a reach that slicers and
+    comparison look."""
     begun = file.counted(file.low, heights, "left")
     # Facets that begin at each height, and those cut there (at z = h + 0).
     begins, crossing = np.diff(begun, prepend=0), begun - file.counted(file.high, heights, "left")
@@ -282,7 +284,8 @@ def slab_layers(begins: Ints, crossing: Ints, slabs: int) -> Ints:
 
 
 class SlabInspection:
-    """Figures of :func:`~ebamcheck.mesh.inspection.inspect` added up over slabs from the lowest on; bodies are joined by facets in two of them."""
+    """Figures of :func:`~ebamcheck.mesh.inspection.inspect` added up over slabs from the lowest on; bodies are joined by facets in
+    two of them."""
 
     def __init__(self, outline: Part, facets: int) -> None:
         self._outline = outline

@@ -1,4 +1,5 @@
-"""Meshes of a 3MF file as placed by its build, read by lib3mf in a process of its own: it sets the locale, and may end, hang or fill the memory."""
+"""Meshes of a 3MF file as placed by its build, read by lib3mf in a process of its own: it sets the locale, and may end, hang or
+fill the memory."""
 
 from __future__ import annotations
 
@@ -51,7 +52,8 @@ class Refused(Exception):
 
 
 def main() -> None:
-    """Read the file that the standard input names, write its corners (F, 3, 3) as ``.npy``, and print what was left out, as JSON."""
+    """Read the file that the standard input names, write its corners (F, 3, 3) as ``.npy``, and print what was left out, as
+    JSON."""
     asked = json.load(sys.stdin)
     resource.setrlimit(resource.RLIMIT_CPU, (asked["seconds"], asked["seconds"] + 5))
     resource.setrlimit(resource.RLIMIT_AS, (MOST_MEMORY_BYTES, MOST_MEMORY_BYTES))
@@ -71,9 +73,9 @@ def main() -> None:
 def placed(asked: dict[str, Any]) -> tuple[Floats, list[str]]:
     """Corners (F, 3, 3) of the facets that are built, in the file's unit, and what is left out or ignored.
 
-    Asked are the `file`, how many `items` its build has, `unprintable` ones, `volumes` of facets that are no part of the solid (first, last
-    or -1, kind) by ``path#number`` of their object, and whole objects `marked` so, by that, or by two where it holds in one assembly alone.
-    """
+    Asked are the `file`, how many `items` its build has, `unprintable` ones, `volumes` of facets that are no part of the solid
+    (first, last or -1, kind) by ``path#number`` of their object, and whole objects `marked` so, by that, or by two where it holds
+    in one assembly alone."""
     model = lib3mf.get_wrapper().CreateModel()
     reader = model.QueryReader("3mf")
     reader.ReadFromFile(asked["file"])

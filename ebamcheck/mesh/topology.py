@@ -1,4 +1,5 @@
-"""Topology of a mesh: equal vertices merged, the facets that meet at each edge, the twin of each half-edge, and the facets that hang together.
+"""Topology of a mesh: equal vertices merged, the facets that meet at each edge, the twin of each half-edge, and the facets that
+hang together.
 
 Half-edge ``3 f + i`` is the edge from corner i to corner i + 1 of facet f, in the facet's own direction.
 """
@@ -177,7 +178,8 @@ def pair_fan(vertices: NDArray[np.float64], faces: Index, fan: Index, result: In
 
 
 def split_corners(faces: Index, twin: Index) -> Index:
-    """Number the corners of facets (F, 3) so that two share a number only where neighbours by `twin` of one direction do: bodies come apart."""
+    """Number the corners of facets (F, 3) so that two share a number only where neighbours by `twin` of one direction do: bodies
+    come apart."""
     corners = faces.ravel()
     h = np.flatnonzero(twin > np.arange(twin.size))
     h = h[corners[h] != corners[twin[h]]]
@@ -265,7 +267,8 @@ Rows = NDArray[np.int32]
 def weld(
     triangles: NDArray[np.float32] | NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    """Merge corners (F, 3, 3) that are equal in all bits (0 and -0 are equal) to vertices (V, 3), by first appearance, and faces (F, 3)."""
+    """Merge corners (F, 3, 3) that are equal in all bits (0 and -0 are equal) to vertices (V, 3), by first appearance, and faces
+    (F, 3)."""
     corners = np.ascontiguousarray(triangles).reshape(-1, 3)
     earliest = _earliest(corners)
     is_first = earliest == np.arange(len(earliest))

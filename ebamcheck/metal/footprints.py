@@ -1,8 +1,7 @@
 """Where the metal of each bead comes to lie, and how much wire each needs so that the beads together lay the section.
 
-Wire melts into a pool as wide as the bead, which moves on; one that is filled like a half sphere leaves, along a straight line, the parabolic section of
-a bead (Pixner et al. 2020), and a round end.
-"""
+Wire melts into a pool as wide as the bead, which moves on; one that is filled like a half sphere leaves, along a straight line, the
+parabolic section of a bead (Pixner et al. 2020), and a round end."""
 
 from __future__ import annotations
 
@@ -28,7 +27,8 @@ class Footprints:
         return Footprints(np.append(self.starts[first], self.starts[-1]), self.cell, self.length_mm)
 
     def laid(self, width_mm: Floats, cells: int, cell_mm2: float) -> Floats:
-        """Metal in each cell, (cells,), as a height over that of the layer, by what each bead (B,) lays on a length, over the height of the layer."""
+        """Metal in each cell, (cells,), as a height over that of the layer, by what each bead (B,) lays on a length, over the
+        height of the layer."""
         weight = np.repeat(width_mm, np.diff(self.starts)) * self.length_mm
         return np.bincount(self.cell, weight, minlength=cells) / cell_mm2
 
@@ -38,9 +38,8 @@ def footprints(
 ) -> Footprints:
     """Gather the cells in which the metal of beads lies; metal beside the grid of a shape is not counted.
 
-    `places` (n, 2) lie along the beads, in cells from the lower left corner of the grid, sorted by bead; each stands for a length (n,) of its bead (n,). The
-    radius is half the width of the pool, in cells.
-    """
+    `places` (n, 2) lie along the beads, in cells from the lower left corner of the grid, sorted by bead; each stands for a length
+    (n,) of its bead (n,). The radius is half the width of the pool, in cells."""
     return Footprints(*gathered(places, length_mm, bead, beads, radius, *shape))
 
 
@@ -100,10 +99,11 @@ def gathered(
 def pooled(
     places: Floats, area_mm2: Floats, radius: float, shape: tuple[int, ...], cell_mm2: float
 ) -> Floats:
-    """Height of the metal in each cell, over that of the layer: each place (n, 2), in cells, shares its metal (n,) between those within a radius.
+    """Height of the metal in each cell, over that of the layer: each place (n, 2), in cells, shares its metal (n,) between those
+    within a radius.
 
-    Slower to build widths on than :func:`footprints`, which knows each bead by itself, but free of the steps that come from whether the middle of a cell
-    lies within a pool: a tip that gets a film of metal is part of the surface.
+    Slower to build widths on than :func:`footprints`, which knows each bead by itself, but free of the steps that come from whether
+    the middle of a cell lies within a pool: a tip that gets a film of metal is part of the surface.
 
     >>> laid = pooled(np.array([[4.5, 4.5]]), np.array([2.0]), 3.0, (9, 9), 1.0)
     >>> round(float(laid.sum()), 9), bool(laid.argmax() == 40)
@@ -139,11 +139,12 @@ def balanced_widths(
     width_mm: Floats,
     limits_mm: tuple[float, float],
 ) -> Floats:
-    """Widths of metal (B,) between limits that lay a section flat, mm, with the greatest likelihood, and the sum of the metal that of the section.
+    """Widths of metal (B,) between limits that lay a section flat, mm, with the greatest likelihood, and the sum of the metal that
+    of the section.
 
-    By the multiplicative iteration of Richardson (1972, J. Opt. Soc. Am. 62:55) and Lucy (1974, Astron. J. 79:745), which keeps them positive. `share` and
-    `weight` (rows, columns) are what of each cell is to be metal, one layer high, and how much it counts.
-    """
+    By the multiplicative iteration of Richardson (1972, J. Opt. Soc. Am. 62:55) and Lucy (1974, Astron. J. 79:745), which keeps
+    them positive. `share` and `weight` (rows, columns) are what of each cell is to be metal, one layer high, and how much it
+    counts."""
     columns = found.starts, found.cell, found.length_mm
     width = np.array(width_mm, np.float64)
     iterate(columns, share.ravel(), weight.ravel(), cell_mm2, width, limits_mm, ITERATIONS)

@@ -1,8 +1,8 @@
 """The surface that a part has while it is built: what the layers so far have laid too much or too little.
 
-A place stays molten while the beam is within a bead width of it, and levels over that distance with the molten metal around it; none flows over the
-border. A place that a bead could have reached and that none did stays where it was, a layer deeper than it should be.
-"""
+A place stays molten while the beam is within a bead width of it, and levels over that distance with the molten metal around it;
+none flows over the border. A place that a bead could have reached and that none did stays where it was, a layer deeper than it
+should be."""
 
 from __future__ import annotations
 
@@ -24,7 +24,8 @@ DOME = 0.5**0.5
 
 
 def bead_centres(inside: Bools, bead_cells: float) -> Bools:
-    """Cells (rows, columns) of a section, at least one beside it is none, on which the middle of a bead so many cells wide keeps within the border.
+    """Cells (rows, columns) of a section, at least one beside it is none, on which the middle of a bead so many cells wide keeps
+    within the border.
 
     >>> int(bead_centres(np.pad(np.ones((8, 9), bool), 1), 6.0).sum())
     20
@@ -33,7 +34,8 @@ def bead_centres(inside: Bools, bead_cells: float) -> Bools:
 
 
 def reachable(inside: Bools, bead_cells: float) -> Bools:
-    """Cells of a section that some bead inside of it builds: all but what only flanks reach, and walls under a bead; parameters as of :func:`bead_centres`.
+    """Cells of a section that some bead inside of it builds: all but what only flanks reach, and walls under a bead; parameters as
+    of :func:`bead_centres`.
 
     >>> reachable(np.pad(np.ones((8, 9), bool), 1), 6.0)[1:-1, 1:-1].sum(axis=1)
     array([5, 7, 9, 9, 9, 9, 7, 5])
@@ -73,7 +75,8 @@ class Surface:
         return self._share
 
     def with_map(self, over_mm: Floats) -> Surface:
-        """The surface as uneven as it was measured: heights (rows, columns) over the measured one of the layer; cells without metal do not count."""
+        """The surface as uneven as it was measured: heights (rows, columns) over the measured one of the layer; cells without metal
+        do not count."""
         made = self.copy()
         made._over_mm = np.where(self._share > 0.0, over_mm, 0.0)
         made.mapped = True
@@ -101,7 +104,8 @@ class Surface:
         return made
 
     def over_mm(self, target: Target) -> Floats:
-        """Height of the surface over that of the last layer in the cells of a layer, the mean over the spot of a bead; 0 without metal."""
+        """Height of the surface over that of the last layer in the cells of a layer, the mean over the spot of a bead; 0 without
+        metal."""
         if not target.share.size:
             return np.zeros_like(target.share)
         at = self._window(target)
@@ -132,7 +136,8 @@ class Surface:
 
 
 def gathered(field: Floats, share: Floats, metal: Bools) -> Floats:
-    """A field (rows, columns) on the cells of metal alone, each with that of the nearest cells under :data:`HALF`: no rim loses area or metal."""
+    """A field (rows, columns) on the cells of metal alone, each with that of the nearest cells under :data:`HALF`: no rim loses
+    area or metal."""
     found = np.where(metal, field, 0.0)
     parts = (share > 0.0) & (share < HALF)
     if metal.any() and parts.any():
@@ -141,7 +146,8 @@ def gathered(field: Floats, share: Floats, metal: Bools) -> Floats:
 
 
 def levelled(height: Floats, share: Floats, bead_cells: float) -> Floats:
-    """Heights of molten metal (rows, columns) when it has levelled over a bead width, without flowing over the border; 0 where the share of metal is 0."""
+    """Heights of molten metal (rows, columns) when it has levelled over a bead width, without flowing over the border; 0 where the
+    share of metal is 0."""
     flown, weight = _spread(height, share, LEVELLED_BEADS * bead_cells)
     return np.asarray(np.where(share > 0.0, flown + (1.0 - weight) * height, 0.0), np.float64)
 

@@ -56,8 +56,8 @@ def target_of(section: BaseGeometry, step_mm: float, margin_mm: float) -> Target
 def border_distance(cells: Bools) -> Floats:
     """Distance of the middle of each cell (rows, columns) from that of the nearest outside, in cells; endless without any.
 
-    By A. Meijster, J. B. T. M. Roerdink, W. H. Hesselink, "A general algorithm for computing distance transforms in linear time", Mathematical Morphology
-    and its Applications to Image and Signal Processing (2000) 331; four times as fast as SciPy's.
+    By A. Meijster, J. B. T. M. Roerdink, W. H. Hesselink, "A general algorithm for computing distance transforms in linear time",
+    Mathematical Morphology and its Applications to Image and Signal Processing (2000) 331; four times as fast as SciPy's.
 
     >>> border_distance(np.array([[False, True, True], [True, True, True]])).round(3).tolist()
     [[0.0, 1.0, 2.0], [1.0, 1.414, 2.236]]
@@ -116,7 +116,8 @@ NEIGHBOURS = ((0, -1), (-1, 0), (1, 0), (0, 1), (-1, -1), (1, -1), (-1, 1), (1, 
 
 
 def moved_to_neighbours(found: Floats, field: Floats, moved: Bools, to: Bools) -> None:
-    """Add the values of the cells `moved` of a field (rows, columns) to the nearest of the cells `to` that touch them, if any does."""
+    """Add the values of the cells `moved` of a field (rows, columns) to the nearest of the cells `to` that touch them, if any
+    does."""
     row, column = np.nonzero(moved)
     around = np.pad(to, 1)
     touching = np.stack([around[row + 1 + up, column + 1 + right] for up, right in NEIGHBOURS])

@@ -1,7 +1,7 @@
 """What the codes of beam, wire and auxiliaries mean, and the blocks of templates taken apart into them.
 
-No control maker publishes codes of beam and wire: what a code means stands in the machine profile. A block of a template is a row of
-such codes; any other word in it is refused, since it would change the machine's state unseen."""
+No control maker publishes codes of beam and wire: what a code means stands in the machine profile. A block of a template is a row
+of such codes; any other word in it is refused, since it would change the machine's state unseen."""
 
 from __future__ import annotations
 

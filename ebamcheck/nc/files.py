@@ -67,7 +67,8 @@ def preheat_name(stem: str, layer: int, digits: int = 4) -> str:
 
 
 def layer_of_preheat(stem: str, name: str) -> int | None:
-    """Layer, from 0, before which a subprogram of the program `stem` preheats, as MAIN_P0003 does before 2; None for another one."""
+    """Layer, from 0, before which a subprogram of the program `stem` preheats, as MAIN_P0003 does before 2; None for another
+    one."""
     begin, digits = f"{stem}_P", name.removeprefix(f"{stem}_P")
     known = name.startswith(begin) and len(digits) >= PREHEAT_DIGITS and digits.isascii() and digits.isdigit()
     return int(digits) - 1 if known else None
@@ -121,7 +122,8 @@ def status_of(data: bytes) -> re.Match[bytes] | None:
 
 
 def mark_validated(files: ProgramFiles, validated: bool = True) -> ProgramFiles:
-    """Rewrite the status of every file, and no other byte, the main program last; InputError for a file that is not the one written."""
+    """Rewrite the status of every file, and no other byte, the main program last; InputError for a file that is not the one
+    written."""
     status = b"VALIDATED" if validated else b"NOT VALIDATED"
     stamped: dict[str, bytes] = {}
     for name in files.names:

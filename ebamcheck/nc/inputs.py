@@ -146,9 +146,9 @@ def check_same_stack(curves: CurveColumns, plan: ScanColumns) -> None:
 
 
 def deposition_heights(heights: Floats, first_layer_mm: float, base_mm: float = 0.0) -> Floats:
-    """Z of each layer in the work offset, (L,) mm: the top of the layer, Z 0 under the part's lowest point.
-    `heights` (L,) are those of the cuts, in the middle of the layers; the first layer, on `base_mm`, is as high as the step to the second,
-    or `first_layer_mm` where there is none."""
+    """Z of each layer in the work offset, (L,) mm: the top of the layer, Z 0 under the part's lowest point. `heights` (L,) are
+    those of the cuts, in the middle of the layers; the first layer, on `base_mm`, is as high as the step to the second, or
+    `first_layer_mm` where there is none."""
     if not len(heights):
         return np.zeros(0)
     first = float(heights[1] - heights[0]) if len(heights) > 1 else first_layer_mm

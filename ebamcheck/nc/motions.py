@@ -225,7 +225,8 @@ class NCProgram(Columns[Motion]):
         return np.asarray(result)
 
     def samples(self, rows: Ints, step_mm: float) -> tuple[Ints, Floats]:
-        """Points along motions at most `step_mm` apart, each motion's start left out: motion (n,) of each, and position (n, 2), mm."""
+        """Points along motions at most `step_mm` apart, each motion's start left out: motion (n,) of each, and position (n, 2),
+        mm."""
         if not step_mm > 0.0:
             raise SettingsError(f"step {step_mm} mm: give a positive number of millimetres")
         curved = self.kind[rows] != STRAIGHT
@@ -238,14 +239,16 @@ class NCProgram(Columns[Motion]):
         return row, self.evaluate(row, t)
 
     def lines(self, rows: Ints, step_mm: float) -> tuple[Ints, Floats]:
-        """Points along motions, each motion's start with them, at most `step_mm` apart: index (n,) in `rows`, and position (n, 2), mm."""
+        """Points along motions, each motion's start with them, at most `step_mm` apart: index (n,) in `rows`, and position (n, 2),
+        mm."""
         row, points = self.samples(rows, step_mm)
         index = np.concatenate([np.arange(rows.size), np.searchsorted(rows, row)])
         order = np.argsort(index, kind="stable")
         return index[order], np.concatenate([self.start[rows, :2], points])[order]
 
     def chords(self, rows: Ints, step_mm: float) -> tuple[Ints, Floats]:
-        """Chords of motions, rising: motion (S,) of each, and its ends (S, 4) x0, y0, x1, y1, mm; of a curve several, at most `step_mm` long."""
+        """Chords of motions, rising: motion (S,) of each, and its ends (S, 4) x0, y0, x1, y1, mm; of a curve several, at most
+        `step_mm` long."""
         straight = self.kind[rows] <= STRAIGHT
         index, points = self.lines(rows[~straight], step_mm)
         within = index[1:] == index[:-1]
@@ -269,7 +272,8 @@ class NCProgram(Columns[Motion]):
         return self._layers(np.flatnonzero(self.deposit & (self.layer >= 0)), step_mm)
 
     def contours(self, step_mm: float) -> Layers:
-        """Return the contour rings alone as layers, in canonical form, without what overlaps their starts, whichever way they are driven."""
+        """Return the contour rings alone as layers, in canonical form, without what overlaps their starts, whichever way they are
+        driven."""
         rows = self.deposit & (self.ring >= 0) & (self.layer >= 0) & ~self.overlap
         return oriented_by_nesting(self._layers(np.flatnonzero(rows), step_mm))
 
@@ -311,7 +315,8 @@ class NCProgram(Columns[Motion]):
         )  # fmt: skip
 
     def plot(self, layer: int | None = None, ax: Any = None) -> Any:
-        """Draw the path of a program, or of a layer (SettingsError if there is none), as its text commands it, on matplotlib axes."""
+        """Draw the path of a program, or of a layer (SettingsError if there is none), as its text commands it, on matplotlib
+        axes."""
         from ebamcheck.showing.plotting import Lines, plot_lines
 
         chosen = np.isfinite(self.start[:, :2]).all(axis=1) & np.isfinite(self.end[:, :2]).all(axis=1)

@@ -37,8 +37,9 @@ def by_shape(nc: NCProgram) -> NCProgram:
 
 
 def by_section(nc: NCProgram, layers: Layers, z_of: Floats, offset_mm: float, near_mm: float) -> NCProgram:
-    """Give every bead its role by the sections of a part: contours run within `near_mm` of the depth `offset_mm` for most of their length.
-    The `layers` lie at `z_of` (L,) in the program. In a layer where no bead does, those that come back to their start are contours."""
+    """Give every bead its role by the sections of a part: contours run within `near_mm` of the depth `offset_mm` for most of their
+    length. The `layers` lie at `z_of` (L,) in the program. In a layer where no bead does, those that come back to their start are
+    contours."""
     beads = nc.beads
     contour, back = np.zeros(len(beads), np.bool_), _comes_back(nc, beads)
     layer = nearest_layer(nc.end[beads.first, 2], z_of)
@@ -153,7 +154,8 @@ def nearest_layer(z: Floats, z_of: Floats) -> Ints:
 
 
 def by_height(nc: NCProgram, z_of: Floats) -> NCProgram:
-    """Return the program with each motion in the layer whose Z, `z_of` (L,) rising, it works at; travel in the one that it leads to."""
+    """Return the program with each motion in the layer whose Z, `z_of` (L,) rising, it works at; travel in the one that it leads
+    to."""
     if not z_of.size:
         return nc
     metal = np.flatnonzero((nc.beam | nc.wire) & (nc.kind != RAPID))
@@ -188,9 +190,9 @@ OF_MOTIONS = (
 
 
 def without_preheating(nc: NCProgram, in_layers: bool = False) -> NCProgram:
-    """Return a program with the motions and events of its preheating scans apart.
-    A scan is told by the file that it stands in, or, where scans stand `in_layers`, by the focus, with the commands right before it that
-    switch beam and wire off. Positions of the rest begin where the scan before left the tool."""
+    """Return a program with the motions and events of its preheating scans apart. A scan is told by the file that it stands in, or,
+    where scans stand `in_layers`, by the focus, with the commands right before it that switch beam and wire off. Positions of the
+    rest begin where the scan before left the tool."""
     e, stem = nc.events, nc.files[0].name.rpartition(".")[0]
     of_file = [layer_of_preheat(stem, file.name.rpartition(".")[0]) for file in nc.files]
     layer = np.array([-1 if found is None else found for found in of_file], np.int64)
@@ -228,8 +230,8 @@ def rows_of(nc: NCProgram, motions: Bools, events: Bools) -> NCProgram:
 
 
 def depth_lines(section: BaseGeometry, depth_mm: float) -> Floats:
-    """Sides (n, 4) of the lines along which a section is `depth_mm` deep: x0, y0, x1, y1, at most :data:`STEP_MM` apart along sides.
-    Lines of neighbouring sides may lie on one another for a stretch, within :data:`OFF_MM`."""
+    """Sides (n, 4) of the lines along which a section is `depth_mm` deep: x0, y0, x1, y1, at most :data:`STEP_MM` apart along
+    sides. Lines of neighbouring sides may lie on one another for a stretch, within :data:`OFF_MM`."""
     if section.is_empty or depth_mm <= 0.0:
         return np.zeros((0, 4))
     sides = segments_of(shapely.boundary(section))

@@ -1,8 +1,10 @@
-"""Tilt table and programmable frame while a program is read: the frames of a text, what is in force, and the columns that it comes to.
+"""Tilt table and programmable frame while a program is read: the frames of a text, what is in force, and the columns that it comes
+to.
 
-TRANS and ROT begin anew, ATRANS and AROT go on from the frame in force (Siemens NC Programming manual 12/2019, section 2.12). A turn is
-counter-clockwise for one who looks against its axis; turns about several axes in one block depend on a machine datum and are refused.
-Frames lead to the work offset, positions of the rotary axes to the table: what is undone of that is the place on the table."""
+TRANS and ROT begin anew, ATRANS and AROT go on from the frame in force (Siemens NC Programming manual 12/2019, section 2.12). A
+turn is counter-clockwise for one who looks against its axis; turns about several axes in one block depend on a machine datum and
+are refused. Frames lead to the work offset, positions of the rotary axes to the table: what is undone of that is the place on the
+table."""
 
 from __future__ import annotations
 

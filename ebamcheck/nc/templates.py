@@ -103,7 +103,8 @@ def _filled(where: str, line: str, values: Mapping[str, object]) -> str:
 
 
 def usable_templates(config: Config, control: str) -> dict[str, tuple[str, ...]]:
-    """Templates of a control as they are written, each held to its name; refused where one makes no block or holds what it must not."""
+    """Templates of a control as they are written, each held to its name; refused where one makes no block or holds what it must
+    not."""
     checked_preheating(config, control)
     checked_tilt(config, control)
     templates = templates_of(config.machine, control)

@@ -1,4 +1,5 @@
-"""The time line of a program: what it switches, sets, calls and waits for, in the order of execution, and the state before each event."""
+"""The time line of a program: what it switches, sets, calls and waits for, in the order of execution, and the state before each
+event."""
 
 from __future__ import annotations
 

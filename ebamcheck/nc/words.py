@@ -1,7 +1,7 @@
 """Words of NC blocks: the table of a control's language, its blocks taken apart, and the modal groups that words belong to.
 
-Of a modal group one word is in force at any time. A program establishes every group in its own first blocks, and changes none: a word
-of a group other than the one wanted is a fault. Words that would bend the path as it is read are refused by the reader."""
+Of a modal group one word is in force at any time. A program establishes every group in its own first blocks, and changes none: a
+word of a group other than the one wanted is a fault. Words that would bend the path as it is read are refused by the reader."""
 
 from __future__ import annotations
 
@@ -68,7 +68,8 @@ class UnknownWord(WordError):
 
 def read_block(code: str, dialect: Dialect, rotary: Collection[str] = ()) -> Block:
     """Split the upper-case text of a block, without number and comment, into its words; `rotary` are axes of a table.
-    :class:`UnknownWord` is one that is not of the language; a word given twice, two of one modal group, or no list is a :class:`WordError`."""
+    :class:`UnknownWord` is one that is not of the language; a word given twice, two of one modal group, or no list is a
+    :class:`WordError`."""
     block = Block({}, {}, [])
     for found in dialect.word.finditer(code):
         kind, text = found.lastgroup, found[0].lstrip()

@@ -1,4 +1,5 @@
-"""Choose slicers, slice with every one and compare all of them, block of layers by block of layers; which agreements are evidence."""
+"""Choose slicers, slice with every one and compare all of them, block of layers by block of layers; which agreements are
+evidence."""
 
 from __future__ import annotations
 
@@ -49,8 +50,8 @@ def cross_check(
 ) -> CrossCheck:
     """Slice and compare; the layers are on disk afterwards. `meanwhile` is called once the first slicers are at work.
 
-    No more than one block of layers of every backend (``slicing.block_points``) is in memory at a time, two while they are compared.
-    """
+    No more than one block of layers of every backend (``slicing.block_points``) is in memory at a time, two while they are
+    compared."""
     borders = layer_blocks(job.part, job.heights, job.config.slicing.block_points)
     outcomes = _slice(job, backends, borders, resume, meanwhile)
     return CrossCheck(outcomes, _compare(job, outcomes, borders))
@@ -66,10 +67,11 @@ def compared_layers(
     progress: Callable[[int], None] | None = None,
     borders: NDArray[np.int64] | None = None,
 ) -> Comparison:
-    """Compare what slicers made of a part, by what the registry says of each; `bounds` are error and height bound, mm, that each declares.
+    """Compare what slicers made of a part, by what the registry says of each; `bounds` are error and height bound, mm, that each
+    declares.
 
-    An agreement is evidence as ``comparison.evidence_share`` has it, unless `count_evidence` is off; `borders` are the edges of the blocks of layers.
-    """
+    An agreement is evidence as ``comparison.evidence_share`` has it, unless `count_evidence` is off; `borders` are the edges of the
+    blocks of layers."""
     slicers = {name: registry.slicer(name) for name in stacks}
     return compare_all(
         stacks,
@@ -149,7 +151,8 @@ def _compare(job: Job, outcomes: Mapping[str, Outcome], borders: NDArray[np.int6
 
 
 def primary_of(checked: CrossCheck, config: Config) -> str:
-    """Backend whose contours go on, of those that came to an end: the one set, else the best exact one; none where it has found no contour."""
+    """Backend whose contours go on, of those that came to an end: the one set, else the best exact one; none where it has found no
+    contour."""
     done = checked.done
     name = config.slicing.primary if config.slicing.primary in done else max(done, key=_rank, default="")
     return name if name and checked.comparison.stacks[name]["rings"].any() else ""
@@ -252,7 +255,8 @@ def _asked_for(config: Config) -> list[str]:
 
 
 def witness_backend(maker: str, among: Sequence[str] | None = None) -> str:
-    """Exact backend of the highest priority that did not make a program, among some, else those of the house that are available; else `maker`."""
+    """Exact backend of the highest priority that did not make a program, among some, else those of the house that are available;
+    else `maker`."""
     maker = maker or registry.default_backend()
     known = registry.house_slicers() if among is None else among
     others = [name for name in known if name != maker and registry.slicer(name).exact]

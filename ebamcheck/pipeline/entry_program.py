@@ -1,4 +1,5 @@
-"""Programs of a run beside the whole one: one that begins at a layer, read back as the end of a whole program, and a main program that waits."""
+"""Programs of a run beside the whole one: one that begins at a layer, read back as the end of a whole program, and a main program
+that waits."""
 
 from __future__ import annotations
 
@@ -96,7 +97,8 @@ def _checked(
 
 
 def entry_of_whole(program: Path, whole: Path, config: Config) -> Check:
-    """Check a program against the whole one, a program or a run folder: it begins where its text lays its first metal, whatever its comments say."""
+    """Check a program against the whole one, a program or a run folder: it begins where its text lays its first metal, whatever its
+    comments say."""
     said_validated = False
     if own_file(whole / MANIFEST):
         run = RunFolder(whole)
@@ -117,7 +119,8 @@ def entry_of_whole(program: Path, whole: Path, config: Config) -> Check:
 
 
 def begins_later(program: Path, z_of: Floats, config: Config) -> list[Check]:
-    """A failed check where a program lays its first metal over the first layer of the part, whose Z are `z_of` (L,) mm; else none."""
+    """A failed check where a program lays its first metal over the first layer of the part, whose Z are `z_of` (L,) mm; else
+    none."""
     try:
         nc = read_program(program, config)
     except EbamcheckError:  # A check of its own tells that.
@@ -162,7 +165,8 @@ def check_waits(config: Config) -> None:
 def write_live(
     run: Path, config: Config, top_mm: float, validated: bool, header: Mapping[str, str]
 ) -> dict[str, Any]:
-    """Write the waiting main program into a run folder and judge its text; it says validated where the whole program does and the check passes."""
+    """Write the waiting main program into a run folder and judge its text; it says validated where the whole program does and the
+    check passes."""
     own = control(config.machine.control)
     name, text = own.load("waiting")(config, top_mm, header)
     check: Check = own.load("handshake")(text, name, config, top_mm)

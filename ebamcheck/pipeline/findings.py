@@ -129,7 +129,8 @@ def begun_findings(begun: Ready) -> Iterator[Check]:
 
 
 def part_findings(found: Inspection, config: Config) -> Iterator[Check]:
-    """What follows from part and settings alone: its bodies, size and file, limits set wider, and settings outside of the window."""
+    """What follows from part and settings alone: its bodies, size and file, limits set wider, and settings outside of the
+    window."""
     yield from of_bodies(found)
     yield from suspicions(found, config)
     yield from loose_limits(config)
@@ -144,9 +145,8 @@ def part_findings(found: Inspection, config: Config) -> Iterator[Check]:
 def slicer_findings(
     started: Mapping[str, Outcome], outcomes: Mapping[str, Outcome], comparison: Comparison, config: Config
 ) -> Iterator[Check]:
-    """Of the slicers that were started, those that were lost or prove nothing; of all `outcomes`, those that this machine cannot run; and
-    agreement that rests on something else than sections.
-    """
+    """Of the slicers that were started, those that were lost or prove nothing; of all `outcomes`, those that this machine cannot
+    run; and agreement that rests on something else than sections."""
     for outcome in started.values():
         if outcome.failure:
             text = f"backend {outcome.name} {outcome.failure}: {outcome.why}"
@@ -205,7 +205,8 @@ def placeholder_codes(config: Config) -> list[str]:
 
 
 def profile_findings(config: Config) -> Iterator[Check]:
-    """Codes that stand for those of the machine's maker, where a table has to stand, and what the wire feeder has to do by itself."""
+    """Codes that stand for those of the machine's maker, where a table has to stand, and what the wire feeder has to do by
+    itself."""
     names = placeholder_codes(config)
     if names:
         text = f"the codes of beam and wire are those of the default profile, {len(names)} of them"
@@ -270,7 +271,8 @@ def metal_findings(checks: Iterable[Check]) -> Iterator[Check]:
 
 
 def narrow_findings(features: Sequence[NarrowFeature], heights: Floats, config: Config) -> Iterator[Check]:
-    """Features narrower than beads can build, the narrowest first: a fault where a setting says so, a note where one allows them."""
+    """Features narrower than beads can build, the narrowest first: a fault where a setting says so, a note where one allows
+    them."""
     process = config.process
     for feature in features[:MOST_NARROW]:
         allowed = (process.least_wall_mm if feature.is_wall else process.least_hole_mm) is not None
@@ -409,7 +411,8 @@ def overhang_findings(checks: Iterable[Check], config: Config) -> Iterator[Check
 
 
 def height_findings(part_mm: float, heights: Floats, config: Config) -> Iterator[Check]:
-    """A program that ends beside the top of the part by more of its height than the metal may be off; a fault by more than half a layer.
+    """A program that ends beside the top of the part by more of its height than the metal may be off; a fault by more than half a
+    layer.
 
     What the metal is held against are sections times the heights of layers, so that no gate sees it.
     """

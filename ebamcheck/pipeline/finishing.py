@@ -53,10 +53,11 @@ def finish(
     slabs: Mapping[str, Any] | None = None,
     settings: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> RunResult:
-    """All stages from the gates of the cross-check to the finished folder; `fine` is a finer tessellation, which the curves are held against.
+    """All stages from the gates of the cross-check to the finished folder; `fine` is a finer tessellation, which the curves are
+    held against.
 
-    A part that was taken in `slabs`, of which the record has figures and `settings` of each backend, was not made ready: its mesh is never whole.
-    """
+    A part that was taken in `slabs`, of which the record has figures and `settings` of each backend, was not made ready: its mesh
+    is never whole."""
     config, comparison = job.config, checked.comparison
     primary = primary_of(checked, config)
     outcomes = {**checked.outcomes, **unavailable_backends(config)}

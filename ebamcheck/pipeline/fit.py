@@ -116,9 +116,8 @@ def judged(curves: Curves, layers: Layers, part: Part, config: Config) -> tuple[
 
 
 def columns(verdict: FitVerdict, deviation: pd.DataFrame) -> pd.DataFrame:
-    """The table of the fit with what speaks for it, one row a layer: adds `allowed_mm` (greatest mean of what is allowed), `lift_mm` (mean lift),
-    `polyline_rings` (rings that fell back) and `open_rings` (that nothing was found for).
-    """
+    """The table of the fit with what speaks for it, one row a layer: adds `allowed_mm` (greatest mean of what is allowed),
+    `lift_mm` (mean lift), `polyline_rings` (rings that fell back) and `open_rings` (that nothing was found for)."""
     of_ring, found = verdict.curves.ring_layer, verdict.evidence
     count = len(verdict.curves)
     table = deviation.copy()

@@ -42,11 +42,11 @@ def input_gate(inspection: Inspection, volume_off: str = "") -> Check:
 def volume_off(part: Part, cuts: Floats, areas: Floats, config: Config) -> str:
     """Say how far the volume of the part is off that of its sections; empty where they agree, or the layers are not all of it.
 
-    `cuts` (L,), mm, are the heights of the layers from below, `areas` (L,), mm2, those of their sections by one slicer, which unites bodies layer by layer;
-    the volume is of the union of bodies by manifold3d. Sections of the mesh itself are known in closed form, with every body counted; what the slicers'
-    lack of them would count twice, and is summed over layers. A section of it changes by no more than its surface seen from above, P, so that, cut at the
-    middles of layers of height h, it is summed to within h P / 2.
-    """
+    `cuts` (L,), mm, are the heights of the layers from below, `areas` (L,), mm2, those of their sections by one slicer, which
+    unites bodies layer by layer; the volume is of the union of bodies by manifold3d. Sections of the mesh itself are known in
+    closed form, with every body counted; what the slicers' lack of them would count twice, and is summed over layers. A section of
+    it changes by no more than its surface seen from above, P, so that, cut at the middles of layers of height h, it is summed to
+    within h P / 2."""
     if len(cuts) < 2 or config.layers.heights_mm or config.base_mm > 0.0:
         return ""
     found = bodies_of(part)
@@ -179,7 +179,8 @@ def deposit_gate(checks: Iterable[Check], config: Config) -> Check:
 
 
 def heat_gate(checks: Iterable[Check], metrics: pd.DataFrame, config: Config) -> Check:
-    """No bead is entered above the limit, by the plan and by the balance of the text, or too cold after a wait; and its wire melts."""
+    """No bead is entered above the limit, by the plan and by the balance of the text, or too cold after a wait; and its wire
+    melts."""
     limit_k, ambient_k = highest_entry_k(config), config.process.ambient_temperature_k
     by_name = {check.name: check for check in of_gate(checks, "heat")}
     again, cold = by_name.pop(AGAIN, None), by_name.pop(COLD, None)

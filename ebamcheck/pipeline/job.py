@@ -93,7 +93,8 @@ class Job:
 
 @contextmanager
 def one_beside(ended: Event | None = None) -> Iterator[Executor]:
-    """One thread beside this one; where the block ends with an error or an interrupt, what has not begun is dropped, and `ended` is set for the rest."""
+    """One thread beside this one; where the block ends with an error or an interrupt, what has not begun is dropped, and `ended` is
+    set for the rest."""
     with worker_threads(1) as pool:
         try:
             yield pool
@@ -136,9 +137,8 @@ def carried_out(
 ) -> RunResult:
     """Carry a job out in its run folder; a finished run of the same is returned where `resume` asks for it.
 
-    `what`, `sha256`, `backends` and `inputs` make it another job than others, beside settings, heights and version. Layers that a killed run left are gone
-    on with unless `keep_layers` is off.
-    """
+    `what`, `sha256`, `backends` and `inputs` make it another job than others, beside settings, heights and version. Layers that a
+    killed run left are gone on with unless `keep_layers` is off."""
     target, observer = Path(target), job.observer
     of_job = [job.config.model_dump(), job.heights, list(backends), __version__]
     job.fingerprint = sha256_of_json([what, sha256, *of_job, *inputs])

@@ -1,4 +1,5 @@
-"""Report writers: the house's write into the run folder, a stranger's into a copy (``python -m ebamcheck.pipeline.reports NAME VALUE FOLDER PARENT``)."""
+"""Report writers: the house's write into the run folder, a stranger's into a copy (``python -m ebamcheck.pipeline.reports NAME
+VALUE FOLDER PARENT``)."""
 
 from __future__ import annotations
 
@@ -92,7 +93,8 @@ def _changed(file: Path, original: Path) -> bool:
 
 
 def reports_again(run: RunFolder) -> dict[str, bytes]:
-    """Files that the house's writers of such reports make of the record of a run alone, by name; an InputError where one cannot be made from it."""
+    """Files that the house's writers of such reports make of the record of a run alone, by name; an InputError where one cannot be
+    made from it."""
     found: dict[str, bytes] = {}
     for name, point in registry.points(registry.REPORTS).items():
         package = import_module(point.module.partition(".")[0]) if is_house(point) else None

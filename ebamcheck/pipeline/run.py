@@ -37,14 +37,15 @@ def run_job(
     live: bool = False,
     workers: WorkerPool | None = None,
 ) -> RunResult:
-    """Slice a part (a mesh file, or ``plate.toml``) with every backend, compare, fit, partition, order, write the program and verify it.
+    """Slice a part (a mesh file, or ``plate.toml``) with every backend, compare, fit, partition, order, write the program and
+    verify it.
 
-    The run folder `target` appears when it is whole. `reference` is a finer tessellation of the same part, against which errors are measured;
-    `resume` goes on with what a killed run of the same part and settings left, and returns a finished one; `force` makes the run although a
-    finished one stands there, which is kept under a name with its date. From `from_layer` on, counted from 1, a second program is written; `live`
-    asks for a main program that waits between layers. `begun` is the same part and settings made ready before, `workers` are those spawned early.
-    Raises InputError or SettingsError for what cannot be read or makes no sense, BackendMissing for a slicer that is not there.
-    """
+    The run folder `target` appears when it is whole. `reference` is a finer tessellation of the same part, against which errors are
+    measured; `resume` goes on with what a killed run of the same part and settings left, and returns a finished one; `force` makes
+    the run although a finished one stands there, which is kept under a name with its date. From `from_layer` on, counted from 1, a
+    second program is written; `live` asks for a main program that waits between layers. `begun` is the same part and settings made
+    ready before, `workers` are those spawned early. Raises InputError or SettingsError for what cannot be read or makes no sense,
+    BackendMissing for a slicer that is not there."""
     config = config or Config()
     if not control(config.machine.control).is_read:
         raise SettingsError(
@@ -80,9 +81,9 @@ def check_job(
     force: bool = False,
     workers: WorkerPool | None = None,
 ) -> RunResult:
-    """Slice a part with every backend and compare them, no more; parameters and errors as in :func:`run_job`. A part that would not fit into memory, or of
-    which ``slicing.slabs`` says so, is checked in slabs (:func:`~ebamcheck.pipeline.slabs.check_in_slabs`), unless it was made ready before.
-    """
+    """Slice a part with every backend and compare them, no more; parameters and errors as in :func:`run_job`. A part that would not
+    fit into memory, or of which ``slicing.slabs`` says so, is checked in slabs (:func:`~ebamcheck.pipeline.slabs.check_in_slabs`),
+    unless it was made ready before."""
     config = config or Config()
     if begun is None and (slabs := wanted_slabs(Path(part_path), config)) > 1:
         from ebamcheck.pipeline.slabs import check_in_slabs

@@ -1,8 +1,7 @@
 """The cross-check of a part that does not fit into memory: read, cut and compared in slabs of z, one after the other.
 
-Every slab is a closed mesh that has the sections and the box of the whole one (:mod:`ebamcheck.mesh.slabs`), so that every slicer cuts it alike. Of a
-slab the tables and the figures of the inspection are kept; its layers are dropped.
-"""
+Every slab is a closed mesh that has the sections and the box of the whole one (:mod:`ebamcheck.mesh.slabs`), so that every slicer
+cuts it alike. Of a slab the tables and the figures of the inspection are kept; its layers are dropped."""
 
 from __future__ import annotations
 
@@ -49,11 +48,11 @@ def check_in_slabs(
     yes: bool = False,
     force: bool = False,
 ) -> RunResult:
-    """Slice a binary STL file with every backend and compare them, slab by slab; errors as of :func:`~ebamcheck.pipeline.run.check_job`.
+    """Slice a binary STL file with every backend and compare them, slab by slab; errors as of
+    :func:`~ebamcheck.pipeline.run.check_job`.
 
-    Verdicts, areas, counts of rings and points, inspection and gates are those of the whole part; the file is read as it stands, and the
-    layers are not kept. A backend that is lost in one slab is lost from there on; what a killed run left is begun anew.
-    """
+    Verdicts, areas, counts of rings and points, inspection and gates are those of the whole part; the file is read as it stands,
+    and the layers are not kept. A backend that is lost in one slab is lost from there on; what a killed run left is begun anew."""
     observer = observer or Silent()
     _as_it_stands(config)
     backends = chosen_backends(config)

@@ -96,7 +96,8 @@ def power_by_wire(
 def contour_curves(
     layers: Layers, contours: Sequence[BaseGeometry], config: Config, first_layer: int = 0
 ) -> Curves:
-    """Curves along the centre lines (L,) of the contour beads of layers, as they are driven; the lowest is `first_layer` of the build."""
+    """Curves along the centre lines (L,) of the contour beads of layers, as they are driven; the lowest is `first_layer` of the
+    build."""
     labels = {name: getattr(layers, name) for name in ("part", "direction", "backend", "settings")}
     lines = from_polygons(layers.heights, [[region] for region in contours], **labels)
     # What lies along a bead was lifted with the contour; an inset has no edges of the mesh of its own.

@@ -1,4 +1,5 @@
-"""Tables of a run folder by the name of their file, as the stages' values make them: a run writes them, a verification compares them."""
+"""Tables of a run folder by the name of their file, as the stages' values make them: a run writes them, a verification compares
+them."""
 
 from __future__ import annotations
 

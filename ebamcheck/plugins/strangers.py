@@ -1,4 +1,5 @@
-"""Plugins of other distributions: what a process of their own found out about each, kept until their code changes, and their slicers as seen here."""
+"""Plugins of other distributions: what a process of their own found out about each, kept until their code changes, and their
+slicers as seen here."""
 
 from __future__ import annotations
 
@@ -261,7 +262,8 @@ class StrangerSettings(BackendSettings):
 
 
 class StrangerSlicer(Attributes):
-    """What a slicer of another distribution has told of itself, a :class:`~ebamcheck.backend.Slicer` in form; its code runs elsewhere."""
+    """What a slicer of another distribution has told of itself, a :class:`~ebamcheck.backend.Slicer` in form; its code runs
+    elsewhere."""
 
     answer: Answer
     point: Any  # its EntryPoint

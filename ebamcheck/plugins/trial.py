@@ -1,6 +1,5 @@
-"""Trial of a plugin in a process of its own: it is imported and asked what it is, and every answer is checked.
-``python -m ebamcheck.plugins.trial FOLDER PARENT`` reads ``question.json`` and writes a line of JSON for each answer, kept in a crash.
-"""
+"""Trial of a plugin in a process of its own: it is imported and asked what it is, and every answer is checked. ``python -m
+ebamcheck.plugins.trial FOLDER PARENT`` reads ``question.json`` and writes a line of JSON for each answer, kept in a crash."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """The preflight of a job: part, layer height, heights and all checks, made once and handed on.
 
-A level face within a layer moves to one of its borders, so that metal is added or lacks there, unless the layer height divides its height.
-"""
+A level face within a layer moves to one of its borders, so that metal is added or lacks there, unless the layer height divides its
+height."""
 
 from __future__ import annotations
 
@@ -48,7 +48,8 @@ class Preflight:
         return {"passed": self.passed, "checks": checks, "work": asdict(self.work)}
 
     def stop(self, job: str) -> None:
-        """Refuse a job that cannot come to a good end: the SettingsError tells the first fault that stops it, how many more there are, and what to do."""
+        """Refuse a job that cannot come to a good end: the SettingsError tells the first fault that stops it, how many more there
+        are, and what to do."""
         faults = [check for check in self.checks if check.level == "fault" and job in check.stops]
         if not faults:
             return
@@ -59,9 +60,9 @@ class Preflight:
 
 @dataclass(frozen=True, eq=False)
 class Ready:
-    """A part that is ready to be sliced, as placed, with its inspection, the settings of the job with the layer height that a run takes where they
-    leave it open, and the heights (L,) of the cuts, mm. `turned` facets were turned over; `fitted` tells of a layer height chosen for the part.
-    """
+    """A part that is ready to be sliced, as placed, with its inspection, the settings of the job with the layer height that a run
+    takes where they leave it open, and the heights (L,) of the cuts, mm. `turned` facets were turned over; `fitted` tells of a
+    layer height chosen for the part."""
 
     part: Part
     turned: int
@@ -73,9 +74,8 @@ class Ready:
 
 
 def ready(path: str | Path, config: Config, job: str = RUN, yes: bool = False) -> Ready:
-    """Read and place a part (a mesh file, or ``plate.toml``), and look at all that can be known before it is sliced for a ``run`` or a ``check``; with
-    `yes` more work than the settings allow is a warning.
-    """
+    """Read and place a part (a mesh file, or ``plate.toml``), and look at all that can be known before it is sliced for a ``run``
+    or a ``check``; with `yes` more work than the settings allow is a warning."""
     part, turned = read_part(path, config.part)
     found = inspect(part)
     chosen = chosen_height(part, found.passed, config) if job == RUN else None
@@ -159,7 +159,8 @@ class ChosenHeight(NamedTuple):
 
 
 def chosen_height(part: Part, sound: bool, config: Config) -> ChosenHeight:
-    """Settings of a run with a layer height that fits the part, where they leave it open; of a mesh that is not `sound`, nothing is known."""
+    """Settings of a run with a layer height that fits the part, where they leave it open; of a mesh that is not `sound`, nothing is
+    known."""
     bead_mm, limit = config.layer_height_mm, config.process.mass_tolerance
     if config.layers.layer_height_mm is not None or config.layers.heights_mm or config.base_mm > 0.0:
         return _kept(config, f"{bead_mm:g} mm, as set" if not config.layers.heights_mm else "as listed")

@@ -1,4 +1,5 @@
-"""What can be seen of part and settings before anything is sliced: room on the machine, settings that exclude each other, and the unit of the file."""
+"""What can be seen of part and settings before anything is sliced: room on the machine, settings that exclude each other, and the
+unit of the file."""
 
 from __future__ import annotations
 

@@ -38,7 +38,8 @@ SQRT3 = math.sqrt(3.0)
 
 @dataclass(frozen=True)
 class Workload:
-    """What a job makes, and what it takes; points are those of one exact contour of all layers, and a job without a program has no islands."""
+    """What a job makes, and what it takes; points are those of one exact contour of all layers, and a job without a program has no
+    islands."""
 
     layers: int
     points: int
@@ -134,7 +135,8 @@ def work_checks(work: Workload, config: Config, yes: bool) -> Iterator[Check]:
 
 
 def refuse_work(part: Part, heights: Floats, config: Config, yes: bool) -> None:
-    """Refuse to slice a part with one slicer where that is more work than the settings allow; the message names figure, limit and setting."""
+    """Refuse to slice a part with one slicer where that is more work than the settings allow; the message names figure, limit and
+    setting."""
     alone = config.slicing.model_copy(update={"backends": ("",), "witnesses": ()})
     one = config.model_copy(update={"slicing": alone})
     for check in work_checks(workload(part, heights, one, CHECK), config, yes):
@@ -189,7 +191,8 @@ def wanted_slabs(path: Path, config: Config) -> int:
 def slab_workload(
     facets: int, most_facets: int, layers: int, points: int, slabs: int, config: Config
 ) -> Workload:
-    """Estimate what a check in slabs makes and takes, of a file and its largest slab of so many facets, and points of one exact contour of all layers."""
+    """Estimate what a check in slabs makes and takes, of a file and its largest slab of so many facets, and points of one exact
+    contour of all layers."""
     work = _of_slicing(layers, points, most_facets, config, slabs)
     return replace(work, memory_mb=work.memory_mb + COLUMNS_MB * facets + FACET_MB * most_facets)
 

@@ -30,12 +30,13 @@ def verify_program(
     heat: bool = False,
     **known: Any,
 ) -> list[Check]:
-    """Check a program that was read; every check is made that its inputs allow, in a fixed order; one that fails names the first or worst line.
+    """Check a program that was read; every check is made that its inputs allow, in a fixed order; one that fails names the first or
+    worst line.
 
-    `heights` (L,) are those of the cuts, and `known` is what a :class:`~ebamcheck.checks.subject.Subject` may know, None where it is not known. `beads`
-    judges the beads themselves; `metal` lays the metal over the `layers`, or takes it from `laid`, and a `part` has them held against its mesh and file;
-    `heat` works out a balance, from the heat `before` and the section `under` the program.
-    """
+    `heights` (L,) are those of the cuts, and `known` is what a :class:`~ebamcheck.checks.subject.Subject` may know, None where it
+    is not known. `beads` judges the beads themselves; `metal` lays the metal over the `layers`, or takes it from `laid`, and a
+    `part` has them held against its mesh and file; `heat` works out a balance, from the heat `before` and the section `under` the
+    program."""
     curves, plan = known.get("curves"), known.get("plan")
     if known.get("match") is None and curves is not None and plan is not None:
         nc, known["match"] = matched(nc, planned_path(curves, plan, config))
@@ -47,7 +48,8 @@ def verify_program(
 
 
 def verify_file(path: str | Path, *, config: Config, **given: Any) -> list[Check]:
-    """Read and check a program, with what :func:`verify_program` takes; one that cannot be read is a failed check named ``readable``."""
+    """Read and check a program, with what :func:`verify_program` takes; one that cannot be read is a failed check named
+    ``readable``."""
     nc, readable = read_checked(path, config)
     if nc is None:
         return [readable]
@@ -55,7 +57,8 @@ def verify_file(path: str | Path, *, config: Config, **given: Any) -> list[Check
 
 
 def read_checked(path: str | Path, config: Config) -> tuple[NCProgram | None, Check]:
-    """Read a program, with the check ``readable``; None, and a check that has failed, where it cannot be read or leads out of all bounds."""
+    """Read a program, with the check ``readable``; None, and a check that has failed, where it cannot be read or leads out of all
+    bounds."""
     try:
         nc = read_program(path, config)
     except InputError as error:

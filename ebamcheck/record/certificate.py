@@ -1,7 +1,7 @@
 """The certificate of a run: what was made from what, by what, how well, and who releases it; made last, beside the record.
 
-Its seal tells whether it is whole, its list of files whether the run is, signatures who stands for it. :func:`ebamcheck.verify` believes none of it.
-"""
+Its seal tells whether it is whole, its list of files whether the run is, signatures who stands for it. :func:`ebamcheck.verify`
+believes none of it."""
 
 from __future__ import annotations
 
@@ -55,7 +55,8 @@ NOT_PROVED = (
 
 
 def certificate(manifest: Mapping[str, Any], made: Mapping[str, Any] | None = None) -> dict[str, Any]:
-    """What the record of a run says of it, as its certificate holds it, without files, release and seal; `made` is the software that made it."""
+    """What the record of a run says of it, as its certificate holds it, without files, release and seal; `made` is the software
+    that made it."""
     config = validated(manifest["settings"], "run.json: settings")
     program = manifest.get("program") or {"files": [], "validated": False, "checks": []}
     part, machine = manifest["part"], config.machine
@@ -89,13 +90,15 @@ def certificate(manifest: Mapping[str, Any], made: Mapping[str, Any] | None = No
 
 
 def write_certificate(run: RunFolder, release: Mapping[str, Any] | None = None) -> Path:
-    """Write the certificate of a run beside its record, with what `release` says; every other file of the run must be there and final."""
+    """Write the certificate of a run beside its record, with what `release` says; every other file of the run must be there and
+    final."""
     said = {"release": {**RELEASE, **(release or {})}, "files": file_hashes(run.path)}
     return write_sealed(run.path / CERTIFICATE, {**certificate(run.manifest()), **said})
 
 
 def released(path: Path, release: Mapping[str, Any]) -> Path:
-    """Write what a person adds into a certificate, and seal it anew; a broken seal, or a signature that would no longer hold, is refused."""
+    """Write what a person adds into a certificate, and seal it anew; a broken seal, or a signature that would no longer hold, is
+    refused."""
     found = read_certificate(path)
     if not is_sealed(path, found):
         why = "it was changed since it was written, and is not to be signed"
@@ -226,7 +229,8 @@ class Statement:
 
 
 def statement(manifest: Mapping[str, Any]) -> Statement:
-    """Statement of a run from its record; what comes after a validated program (codes, dry run, approval) is said of no other one."""
+    """Statement of a run from its record; what comes after a validated program (codes, dry run, approval) is said of no other
+    one."""
     gates, found = manifest["gates"], manifest.get("findings", [])
     said = [(gate["passed"], PROVED.get(gate["name"], gate["text"])) for gate in gates]
     unproved, proved = (tuple(text for passed, text in said if passed is which) for which in (False, True))
@@ -268,9 +272,8 @@ _NAME = re.compile(r"[A-Za-z0-9._-]+")
 
 
 def software(manifest: Mapping[str, Any]) -> dict[str, Any]:
-    """Identity of everything that took part in a run whose record is `manifest`: version, commit and hash of the source, interpreter, system,
-    every distribution that is required, directly or not, and device and versions that each backend told.
-    """
+    """Identity of everything that took part in a run whose record is `manifest`: version, commit and hash of the source,
+    interpreter, system, every distribution that is required, directly or not, and device and versions that each backend told."""
     return {
         "ebamcheck": manifest["ebamcheck"],
         "source": source_state(),
@@ -286,7 +289,8 @@ def software(manifest: Mapping[str, Any]) -> dict[str, Any]:
 
 @functools.cache
 def source_state() -> dict[str, str]:
-    """Commit of the checkout that this package is run from (none: it is installed), whether it differs from it, and the hash of its files."""
+    """Commit of the checkout that this package is run from (none: it is installed), whether it differs from it, and the hash of its
+    files."""
     root = Path(ebamcheck.__file__).resolve().parent.parent
     return {"commit": commit(), "dirty": _dirty(root), "sha256": source_sha256()}
 

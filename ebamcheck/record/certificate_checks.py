@@ -58,7 +58,8 @@ def refuse_unfit(run: RunFolder) -> None:
 
 
 def _files(run: RunFolder, listed: Mapping[str, str], recorded: Mapping[str, str]) -> list[Check]:
-    """Check every file of the run by the hashes of the certificate, but for those that the record lists with the same hash; none is missing or added."""
+    """Check every file of the run by the hashes of the certificate, but for those that the record lists with the same hash; none is
+    missing or added."""
     alone = {name: sha256 for name, sha256 in listed.items() if recorded.get(name) != sha256}
     checks = [file_check(run.path / name, name, sha256) for name, sha256 in alone.items()]
     unknown = [name for name in of_run.file_names(run.path) if name not in listed]

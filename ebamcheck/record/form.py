@@ -1,4 +1,5 @@
-"""Form of ``run.json`` and of ``certificate.json``: which keys they have, and what may stand under each; checked once, when they are read.
+"""Form of ``run.json`` and of ``certificate.json``: which keys they have, and what may stand under each; checked once, when they
+are read.
 
 What a record *says* is believed by nobody; that is for :func:`ebamcheck.verify`.
 """

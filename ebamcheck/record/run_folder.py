@@ -1,6 +1,6 @@
-"""The run folder: everything that a run leaves behind, written aside and moved into place when whole. ``run.json`` is the truth, which names every file;
-times and dates stand in ``timings.json`` alone, so that two runs of the same input are the same bytes in everything else.
-"""
+"""The run folder: everything that a run leaves behind, written aside and moved into place when whole. ``run.json`` is the truth,
+which names every file; times and dates stand in ``timings.json`` alone, so that two runs of the same input are the same bytes in
+everything else."""
 
 from __future__ import annotations
 
@@ -56,7 +56,8 @@ class RunFolder:
         return layer_files.read_parquet(self.layers_file(backend))
 
     def manifest(self) -> dict[str, Any]:
-        """Read ``run.json``, and times and dates of the run as its ``timings``; raises InputError where either is missing or not in its form."""
+        """Read ``run.json``, and times and dates of the run as its ``timings``; raises InputError where either is missing or not in
+        its form."""
         path = self.path / MANIFEST
         if not own_file(path):
             raise InputError(f"{self.path}: is no run folder: it has no {MANIFEST}")
@@ -109,10 +110,9 @@ class RunInProgress(RunFolder):
 def start_run(target: Path, fingerprint: str, resume: bool, force: bool = False) -> RunInProgress:
     """Begin a run that will end at `target`, under the hash of part and settings.
 
-    With `resume`, what a killed run of the same fingerprint left is kept; with `force`, a finished run at `target` gets a name with its date
-    when the new one is whole. Raises SettingsError where a finished run stands there otherwise, or something that is no run folder; where it
-    cannot be written, or another run to the same place is under way.
-    """
+    With `resume`, what a killed run of the same fingerprint left is kept; with `force`, a finished run at `target` gets a name with
+    its date when the new one is whole. Raises SettingsError where a finished run stands there otherwise, or something that is no
+    run folder; where it cannot be written, or another run to the same place is under way."""
     target = Path(os.path.realpath(target))
     path = _unfinished(target)
     try:

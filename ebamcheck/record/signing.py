@@ -1,7 +1,7 @@
 """Signatures under a certificate: Ed25519 (RFC 8032), detached, one file a signer, who alone can make it with the private key.
 
-Keys are PEM files, as `openssl genpkey -algorithm ed25519` writes them, too: the private one in PKCS 8, the public one as SubjectPublicKeyInfo.
-"""
+Keys are PEM files, as `openssl genpkey -algorithm ed25519` writes them, too: the private one in PKCS 8, the public one as
+SubjectPublicKeyInfo."""
 
 from __future__ import annotations
 
@@ -52,7 +52,8 @@ class Signature:
 
 
 def make_key(path: str | Path, password: str = "") -> tuple[Path, Path]:
-    """Make ``PATH.key`` (mode 600) and ``PATH.pub``, in a folder (mode 700) that is made; a file that is there is refused: a key overwritten is lost."""
+    """Make ``PATH.key`` (mode 600) and ``PATH.pub``, in a folder (mode 700) that is made; a file that is there is refused: a key
+    overwritten is lost."""
     stem = Path(path)
     private_path, public_path = (stem.with_name(stem.name + end) for end in (PRIVATE_SUFFIX, PUBLIC_SUFFIX))
     for file in (private_path, public_path):
@@ -104,7 +105,8 @@ def read_public_key(path: Path) -> Ed25519PublicKey:
 
 
 def trusted_keys(places: Sequence[str | Path]) -> dict[bytes, str]:
-    """Public keys of files, and of all ``*.pub`` of folders: raw bytes, and the name of the file; raises InputError for what is none."""
+    """Public keys of files, and of all ``*.pub`` of folders: raw bytes, and the name of the file; raises InputError for what is
+    none."""
     found: dict[bytes, str] = {}
     for place in map(Path, places):
         files = sorted(place.glob(f"*{PUBLIC_SUFFIX}")) if place.is_dir() else [place]

@@ -1,4 +1,5 @@
-"""Checks of the values that a user gives, and settings in words: what each is and takes, and all of them as a TOML text that explains itself."""
+"""Checks of the values that a user gives, and settings in words: what each is and takes, and all of them as a TOML text that
+explains itself."""
 
 from __future__ import annotations
 
@@ -52,9 +53,8 @@ def checked(
 ) -> _Kind:
     """Check values against a kind of settings, or of all sections of them; raises `error`.
 
-    A message begins with `where` they were given, and names the first key that is wrong. `keys` is where a user finds the keys that there
-    are; empty: the message lists them.
-    """
+    A message begins with `where` they were given, and names the first key that is wrong. `keys` is where a user finds the keys that
+    there are; empty: the message lists them."""
     try:
         return kind.model_validate(values)
     except ValidationError as found:
@@ -68,7 +68,8 @@ def _is_settings(kind: Any) -> bool:
 
 
 def _place(kind: type[BaseModel], loc: tuple[int | str, ...], unknown: bool) -> tuple[str, list[str], str]:
-    """Name of the setting at a place, for a user, to whom types that were tried mean nothing; the keys of its table; and what it takes."""
+    """Name of the setting at a place, for a user, to whom types that were tried mean nothing; the keys of its table; and what it
+    takes."""
     info = kind.model_fields.get(str(loc[0])) if loc else None
     table: Any = info and info.annotation
     section, used = "", 1
@@ -239,7 +240,8 @@ def values_as_toml(config: Config) -> str:
 
 
 def as_toml(config: Config) -> str:
-    """Settings as TOML: every key with its value, its explanation as a comment before it; one that is not set stands as a comment."""
+    """Settings as TOML: every key with its value, its explanation as a comment before it; one that is not set stands as a
+    comment."""
     head = "# Settings of ebamcheck. Every key may be left out; these are the values in force."
     return _as_toml(config, head, True)
 

@@ -1,4 +1,5 @@
-"""Settings of a run, read from ``ebamcheck.toml`` or from ``[tool.ebamcheck]`` of a ``pyproject.toml``; unknown keys are refused."""
+"""Settings of a run, read from ``ebamcheck.toml`` or from ``[tool.ebamcheck]`` of a ``pyproject.toml``; unknown keys are
+refused."""
 
 from __future__ import annotations
 

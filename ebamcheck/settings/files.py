@@ -1,4 +1,5 @@
-"""Settings files that are written without losing what stands in one: a new one, or new keys in an old one; and which settings of two sets differ."""
+"""Settings files that are written without losing what stands in one: a new one, or new keys in an old one; and which settings of
+two sets differ."""
 
 from __future__ import annotations
 

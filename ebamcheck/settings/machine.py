@@ -1,4 +1,5 @@
-"""Settings of the machine: its control, its limits and its axes, a tilt table with the part that stands on it, and its OPC UA server."""
+"""Settings of the machine: its control, its limits and its axes, a tilt table with the part that stands on it, and its OPC UA
+server."""
 
 from __future__ import annotations
 
@@ -148,8 +149,8 @@ class MachineSettings(Section):
     tilt_axes: bool = False
     """The machine can turn the part between layers. Off and without rotary, `relayer --direction` is refused."""
     rotary: Annotated[tuple[RotaryAxis, ...], Field(max_length=2)] = ()
-    """Rotary axes of its tilt table, from the machine's bed to the plate: the second is carried by the first. With them the program of
-    a turned layer turns the table and sets the frame; without them the user does."""
+    """Rotary axes of its tilt table, from the machine's bed to the plate: the second is carried by the first. With them the program
+    of a turned layer turns the table and sets the frame; without them the user does."""
     live_r: Annotated[int, Between(0, 990)] = 100
     """First of the R parameters by which a main program that waits between layers (`run --live`) and `live` agree: layers done,
     layer released (-1: the part is built), number of its program, least wait before it, two of the program's own, and, as the
@@ -348,9 +349,10 @@ class OpcuaSettings(Section):
     """Node of an R parameter; {r} is its number."""
     nodes: dict[str, str] = Field(default={})
     """Nodes that are no R parameters, by what they are: done, released, number, wait, waited, height, measured, begin_at, owner,
-    digest, key, seal (the waiting main program reads its own in R parameters); and, where the control has such variables for text, name and sha256, which are written, and map: the name of the file of
-    a height map, which stands for the height where it is not empty; and surface_k and after_s, the temperature
-    that a pyrometer read, K, and how long after the layer, s, which are used where the first is not 0."""
+    digest, key, seal (the waiting main program reads its own in R parameters); and, where the control has such variables for text,
+    name and sha256, which are written, and map: the name of the file of a height map, which stands for the height where it is not
+    empty; and surface_k and after_s, the temperature that a pyrometer read, K, and how long after the layer, s, which are used
+    where the first is not 0."""
     methods_node: str = "ns=2;s=/Methods"
     """Object whose methods copy files."""
     upload_node: str = "ns=2;s=/Methods/CopyFileToServer"

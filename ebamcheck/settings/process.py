@@ -91,8 +91,9 @@ class ProcessSettings(Section):
     current_window_ma: Annotated[tuple[Current, Current], AfterValidator(_in_order)] = (1.0, 1000.0)
     """Least and greatest beam current of a bead; its ramps may go below by ramp_power. current_max_ma holds, too."""
     feed_along_path: bool = False
-    """Change the feed along a bead where its wire would be under wire_speed_min_mm_s or over wire_speed_max_mm_s, within the windows of
-    feed, travel and line energy. `live` and `relayer` set it for layers on a measured surface to which one feed leaves too little room."""
+    """Change the feed along a bead where its wire would be under wire_speed_min_mm_s or over wire_speed_max_mm_s, within the
+    windows of feed, travel and line energy. `live` and `relayer` set it for layers on a measured surface to which one feed leaves
+    too little room."""
     travel_window_mm_s: Annotated[tuple[TravelSpeed, TravelSpeed], AfterValidator(_in_order)] = (1.0, 100.0)
     """Least and greatest speed along a bead."""
     bead_section_mm2: Annotated[tuple[Metal, Metal], AfterValidator(_in_order)] = (0.5, 60.0)
@@ -104,8 +105,8 @@ class ProcessSettings(Section):
     """Thinnest wall that may be built: a thinner one of the part is a fault. None: none is, but walls are told of that are thinner
     than bead_width_mm, or than as much less as wire_speed_min_mm_s is under the wire speed of a layer."""
     least_hole_mm: Width | None = None
-    """Narrowest hole, slot, gap or notch that may be built: a narrower one of the part is a fault. None: none is, but those are told
-    of that are narrower than bead_width_mm, since the melt of the beads around them bridges them. Who wants them filled, to be
+    """Narrowest hole, slot, gap or notch that may be built: a narrower one of the part is a fault. None: none is, but those are
+    told of that are narrower than bead_width_mm, since the melt of the beads around them bridges them. Who wants them filled, to be
     drilled later, sets a width under theirs."""
     base: Literal["cooled", "insulated"] = "cooled"
     """What the heat model assumes under the base plate: a table that keeps its temperature, or no heat flow."""
@@ -148,8 +149,8 @@ class ProcessSettings(Section):
     crater_fill_mm: Length = 0.0
     """Length at the end of a bead along which the beam falls, so that the crater is filled."""
     ramp_power: Share = 0.5
-    """Share of the full power at which a ramp begins, and at which a crater fill ends. The wire runs along both: so little that it does
-    not melt is found (process.metal_energy_j_mm3)."""
+    """Share of the full power at which a ramp begins, and at which a crater fill ends. The wire runs along both: so little that it
+    does not melt is found (process.metal_energy_j_mm3)."""
     ramp_steps: Annotated[int, Between(1, 50)] = 4
     """Steps of power along a ramp."""
     ramp_up_window_s: Annotated[tuple[Seconds, Seconds], AfterValidator(_not_falling)] | None = None
@@ -158,8 +159,8 @@ class ProcessSettings(Section):
     crater_fill_window_s: Annotated[tuple[Seconds, Seconds], AfterValidator(_not_falling)] | None = None
     """The same of the time from the full power to the end of a bead."""
     wire_retract_mm: Annotated[float, Between(0.0, 1000.0)] = 0.0
-    """Wire drawn back at the end of a bead, so that it does not freeze in. The feeder, or the codes of `machine.wire_start`, have to
-    feed it forward again: no other block does."""
+    """Wire drawn back at the end of a bead, so that it does not freeze in. The feeder, or the codes of `machine.wire_start`, have
+    to feed it forward again: no other block does."""
     layer_pause_s: Annotated[float, Between(0.0, 1e6)] = 0.0
     """Least wait between two layers with the beam off; `interpass` makes it longer where the part is too hot."""
     longest_wait_s: Annotated[float, Between(1.0, 1e6)] = 14400.0
@@ -171,10 +172,11 @@ class ProcessSettings(Section):
     interpass_limit_k: Temperature | None = None
     """Temperature over which no bead may be entered; None: that of the material. With `interpass` off, the solidus."""
     least_entry_temperature_k: Temperature | None = None
-    """Temperature under which no bead may be entered; None: no wait may leave a bead less than 0.6 of the rise of the limit over the
-    chamber, or of the bead before where that is less."""
+    """Temperature under which no bead may be entered; None: no wait may leave a bead less than 0.6 of the rise of the limit over
+    the chamber, or of the bead before where that is less."""
     pyrometer_limit_k: Annotated[float, Between(1.0, 1000.0)] = 150.0
-    """How far a measured temperature of the surface may lie off the model, which it then corrects (`live`); beyond it is refused."""
+    """How far a measured temperature of the surface may lie off the model, which it then corrects (`live`); beyond it is
+    refused."""
     interpass_at: Literal["bead", "layer"] = "bead"
     """Where the limit holds: wherever the beam comes on, at contours, islands and their further beads, which may be waited
     for within a layer, too, or at the first bead of each layer alone."""

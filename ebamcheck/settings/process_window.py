@@ -1,4 +1,5 @@
-"""The process window: what wire, beam and layers a profile allows, held against the settings before anything is sliced; and the feed along a bead."""
+"""The process window: what wire, beam and layers a profile allows, held against the settings before anything is sliced; and the
+feed along a bead."""
 
 from __future__ import annotations
 
@@ -77,7 +78,8 @@ def least_hole_mm(config: Config) -> float:
 
 
 def layer_steps_mm(config: Config) -> list[tuple[str, float]]:
-    """Heights of the layers that the settings ask for, each with the name of its setting; of listed cuts the steps from one to the next."""
+    """Heights of the layers that the settings ask for, each with the name of its setting; of listed cuts the steps from one to the
+    next."""
     heights = config.layers.heights_mm
     if len(heights) < 2:
         named = "layers.layer_height_mm" if config.layers.layer_height_mm else "process.wire_speed_mm_s"

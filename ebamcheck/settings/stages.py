@@ -1,4 +1,5 @@
-"""Settings of part, layers and single stages: slicing, comparison, curves, partition and order, preheating, height maps; and each machine's slicers."""
+"""Settings of part, layers and single stages: slicing, comparison, curves, partition and order, preheating, height maps; and each
+machine's slicers."""
 
 from __future__ import annotations
 
@@ -114,7 +115,8 @@ class ScanSettings(Section):
     start_travel_mm: Length = 10.0
     """Travel that weighs as much as one start of the wire, for `thermal`."""
     annealing_steps: Annotated[int, Between(0, 10_000_000)] = 40000
-    """Moves of islands that `thermal` tries at the end, keeping those that help: at most 800 an island and a million over their number, none over 500 islands."""
+    """Moves of islands that `thermal` tries at the end, keeping those that help: at most 800 an island and a million over their
+    number, none over 500 islands."""
     carry_heat: bool = True
     """Orders by heat begin each layer with what those under it have left; off: each layer on a cold part."""
     least_coverage: Share = 0.98
@@ -154,8 +156,8 @@ class PreheatSettings(Section):
     """Never; before the first layer, on the base plate; or before every layer, too, on what stands, where that is colder than
     target_k."""
     scan_in: Literal["own", "layer"] = "own"
-    """Where a scan stands: in a subprogram of its own, which the main program calls; or at the beginning of its layer's, which then is all
-    that is to be called. `live` and `relayer` write it so, since a layer is released as one file."""
+    """Where a scan stands: in a subprogram of its own, which the main program calls; or at the beginning of its layer's, which then
+    is all that is to be called. `live` and `relayer` write it so, since a layer is released as one file."""
     pattern: Literal["lines", "crossed"] = "crossed"
     """Lines along X in every pass, every second one half a spacing aside; or along X and Y in turn."""
     current_ma: Annotated[float, Between(0.01, 1e4)] = 20.0
@@ -358,7 +360,8 @@ def machine_name() -> str:
 
 
 def for_this_machine(config: Config) -> Config:
-    """Return the settings with the choice of this machine in force: its primary slicer, and what it requires besides; the sections of machines go."""
+    """Return the settings with the choice of this machine in force: its primary slicer, and what it requires besides; the sections
+    of machines go."""
     slicing = config.slicing
     if (choice := config.machines.of(machine_name())) is not None:
         required = tuple(dict.fromkeys((*slicing.required, *choice.required)))

@@ -1,4 +1,5 @@
-"""Columns of many items, such as the layers of a stack: how these are counted, taken one by one, and shown at a prompt or in a notebook."""
+"""Columns of many items, such as the layers of a stack: how these are counted, taken one by one, and shown at a prompt or in a
+notebook."""
 
 from __future__ import annotations
 

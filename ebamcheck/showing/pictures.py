@@ -34,9 +34,9 @@ def islands_svg(
     scene: Scene | None = None,
     temperatures: TemperatureScale | None = None,
 ) -> str:
-    """Draw islands (I,), polygons, coloured by finite values (I,), each with its number where they are not too many. A scene puts section, contour beads
-    and path over it, in the frame of the section; `temperatures` are the ends and marks of the scale of values that are rises.
-    """
+    """Draw islands (I,), polygons, coloured by finite values (I,), each with its number where they are not too many. A scene puts
+    section, contour beads and path over it, in the frame of the section; `temperatures` are the ends and marks of the scale of
+    values that are rises."""
     low, high = float(values.min(initial=0.0)), float(values.max(initial=1.0))
     if temperatures is not None:
         low, high = 0.0, temperatures.greatest
@@ -92,7 +92,8 @@ def field_svg(
     scene: Scene | None = None,
     temperatures: TemperatureScale | None = None,
 ) -> str:
-    """Draw a field over a section, given by its values (n,) at points (n, 2), coloured from 0 to the greatest value; rest as for :func:`islands_svg`."""
+    """Draw a field over a section, given by its values (n,) at points (n, 2), coloured from 0 to the greatest value; rest as for
+    :func:`islands_svg`."""
     view = _View.of(np.asarray(section.bounds))
     step_mm = FIELD_PX / view.scale
     columns, rows = (max(1, math.ceil(extent / step_mm)) for extent in (view.high - view.low).tolist())
@@ -202,9 +203,8 @@ def _scale_text(x_px: float, anchor: str, words: str, y_px: float) -> Markup:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """One layer as it is drawn: its solid region, whose bounds every picture shows; the region whose border is the centre line of the contour
-    beads; and lines of the islands (V, 4) and ways between islands (J, 4), x0, y0, x1, y1, mm.
-    """
+    """One layer as it is drawn: its solid region, whose bounds every picture shows; the region whose border is the centre line of
+    the contour beads; and lines of the islands (V, 4) and ways between islands (J, 4), x0, y0, x1, y1, mm."""
 
     section: BaseGeometry
     contour: BaseGeometry
@@ -223,7 +223,8 @@ class Scene:
 
 @dataclass(frozen=True)
 class TemperatureScale:
-    """Scale of all temperature rises of a layer, K: from 0 to `greatest`, with marks; no rise over the boiling point is one that the model can tell."""
+    """Scale of all temperature rises of a layer, K: from 0 to `greatest`, with marks; no rise over the boiling point is one that
+    the model can tell."""
 
     greatest: float
     solidus: float
@@ -323,7 +324,8 @@ MOST_DRAWN = 200_000  # more facets than pixels: a part beyond is drawn without 
 
 
 def regions_svg(triangles: Floats, regions: Sequence[tuple[str, Ints]], title: str) -> str:
-    """Draw the facets (F, 3, 3) of regions, each of a kind and with its facets, from the front right above, with a key of the kinds that there are."""
+    """Draw the facets (F, 3, 3) of regions, each of a kind and with its facets, from the front right above, with a key of the kinds
+    that there are."""
     region = np.concatenate([np.full(len(facets), k) for k, (_, facets) in enumerate(regions)])
     corners = triangles[np.concatenate([facets for _, facets in regions])] @ VIEW.T
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

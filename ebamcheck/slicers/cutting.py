@@ -1,6 +1,6 @@
 """Cuts a part block by block into a file of layers, in whatever process it is, and tells how it goes; and does so in this one.
-Kernels of this project, tested on hostile meshes, need no process of their own, which takes longer to come up than most parts to be cut.
-"""
+Kernels of this project, tested on hostile meshes, need no process of their own, which takes longer to come up than most parts to be
+cut."""
 
 from __future__ import annotations
 

@@ -110,13 +110,12 @@ def slice_all(
 ) -> dict[str, Outcome]:
     """Slice with several backends, each in its own process; returns one outcome for every name, in the order given.
 
-    Heights (L,), mm, strictly increase; layers go to `target`, one file ``NAME.parquet`` a backend that comes to an end. `progress` takes
-    a backend's name and the layers done since its last call. The blocks between `borders`
-    (:func:`~ebamcheck.layers.heights.layer_blocks`) are cut one after the other; with `keep_blocks` they are kept until the file is whole,
-    and those that a killed process left in `target` are taken. `pool` has workers that were started early. With `bounds_only` outcomes
-    have no file. `meanwhile` is called once, when the first backends are at work, while nothing watches them. Only a `target` that cannot
-    be written raises.
-    """
+    Heights (L,), mm, strictly increase; layers go to `target`, one file ``NAME.parquet`` a backend that comes to an end. `progress`
+    takes a backend's name and the layers done since its last call. The blocks between `borders`
+    (:func:`~ebamcheck.layers.heights.layer_blocks`) are cut one after the other; with `keep_blocks` they are kept until the file is
+    whole, and those that a killed process left in `target` are taken. `pool` has workers that were started early. With
+    `bounds_only` outcomes have no file. `meanwhile` is called once, when the first backends are at work, while nothing watches
+    them. Only a `target` that cannot be written raises."""
     outcomes: dict[str, Outcome] = {}
     with ExitStack() as opened:
         pool = pool or opened.enter_context(WorkerPool())
@@ -331,7 +330,8 @@ class Worker:
 
 
 class WorkerPool:
-    """Workers, those of backends in `ahead` started at once, and the folder where they find their work; who got no order is ended with it."""
+    """Workers, those of backends in `ahead` started at once, and the folder where they find their work; who got no order is ended
+    with it."""
 
     def __init__(self, ahead: Iterable[str] = ()) -> None:
         self._opened = ExitStack()
@@ -372,5 +372,6 @@ class WorkerPool:
 
 
 def longest_first(names: Iterable[str]) -> list[str]:
-    """Slicers in the order in which they begin: those that are not exact cast rays and take longest, so that what ends last is short."""
+    """Slicers in the order in which they begin: those that are not exact cast rays and take longest, so that what ends last is
+    short."""
     return sorted(names, key=lambda name: registry.slicer(name).exact)

@@ -1,4 +1,5 @@
-"""What becomes of a backend that slices: its file of layers and figures, or why it has none; events of a worker, and the form of layers, checked."""
+"""What becomes of a backend that slices: its file of layers and figures, or why it has none; events of a worker, and the form of
+layers, checked."""
 
 from __future__ import annotations
 
@@ -121,7 +122,8 @@ def event_of(line: bytes) -> dict[str, Any]:
 
 
 def bounds_fault(told: Mapping[str, Any], extent_mm: float) -> str:
-    """What is wrong with declared bounds, in one line; empty if nothing: within a bound like the part's extent all is a section of it."""
+    """What is wrong with declared bounds, in one line; empty if nothing: within a bound like the part's extent all is a section of
+    it."""
     for word, what in (("error_bound_mm", "error bound"), ("height_bound_mm", "height bound")):
         value = float(told.get(word, math.nan))
         said = f"it declares {'an' if what[0] == 'e' else 'a'} {what} of {value:g} mm"
@@ -156,7 +158,8 @@ def form_fault(layers: object, part: Part, heights: NDArray[np.float64]) -> str:
 
 
 def file_fault(file: Path, part: Part, heights: NDArray[np.float64], whole: bool) -> str:
-    """What is wrong with a worker's file of layers, in one line; empty if nothing. With `whole` every layer is read: a stranger is not believed."""
+    """What is wrong with a worker's file of layers, in one line; empty if nothing. With `whole` every layer is read: a stranger is
+    not believed."""
     try:
         with LayerFile(file) as stack:
             if stack.part != part.sha256:

@@ -112,9 +112,8 @@ def slice_to_file(
 ) -> Outcome:
     """Cut a part into a file of layers, which appears when it is whole; errors are those of :func:`slice_part`.
 
-    A backend of this project's own kernels cuts in this process, unless the part is very large, others in one of theirs. Rising heights
-    into Parquet are cut and written block by block, each of at most `block_points` points of an exact contour.
-    """
+    A backend of this project's own kernels cuts in this process, unless the part is very large, others in one of theirs. Rising
+    heights into Parquet are cut and written block by block, each of at most `block_points` points of an exact contour."""
     name, path = backend or registry.default_backend(), Path(path)
     wanted = checked_heights(heights)
     increasing, where = np.unique(wanted, return_inverse=True)
@@ -146,8 +145,9 @@ def slice_to_file(
 class Slicing:
     """A part made ready for one slicer, to be cut again at any height while a build goes on.
 
-    What the slicer needs of the part (an index, a tree, a graphics context) is made once, here; one of another distribution makes it in a
-    process of its own at every call. Calls may come from any thread: they are served one after the other by a thread of the object's own.
+    What the slicer needs of the part (an index, a tree, a graphics context) is made once, here; one of another distribution makes
+    it in a process of its own at every call. Calls may come from any thread: they are served one after the other by a thread of the
+    object's own.
 
     Parameters
     ----------

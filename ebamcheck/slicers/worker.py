@@ -1,6 +1,5 @@
-"""A worker, ``python -m ebamcheck.slicers.worker LABEL PIPE PARENT``: one process that slices with one backend and tells how it goes.
-Its order is a line of JSON on standard input; what it tells goes into the pipe, a line of JSON an event.
-"""
+"""A worker, ``python -m ebamcheck.slicers.worker LABEL PIPE PARENT``: one process that slices with one backend and tells how it
+goes. Its order is a line of JSON on standard input; what it tells goes into the pipe, a line of JSON an event."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Forms of exact surfaces as rows of numbers: signed distances from them, and the gradients of these.
 
-Their facets are found by growing over a mesh. A row holds the kind, a reference point, the parameters of the kind, and last the sign of the side on which there is no solid.
-"""
+Their facets are found by growing over a mesh. A row holds the kind, a reference point, the parameters of the kind, and last the
+sign of the side on which there is no solid."""
 
 from __future__ import annotations
 

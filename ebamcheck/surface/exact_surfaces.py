@@ -228,7 +228,8 @@ STRAIGHT_COSINE = 0.99  # Two edges at a vertex may be one line if the cosine of
 
 
 def told_corners(vertices: Floats, faces: Index, label: Index, sectors: Index, tolerance_mm: float) -> Bools:
-    """Corners of facets (F, 3) whose vertices lie on the surface: `label` (F,) is each facet's planar group, `sectors` (F, 3) each corner's fan.
+    """Corners of facets (F, 3) whose vertices lie on the surface: `label` (F,) is each facet's planar group, `sectors` (F, 3) each
+    corner's fan.
 
     A vertex within `tolerance_mm` of the line of two neighbours is on it.
     """

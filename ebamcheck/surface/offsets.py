@@ -78,8 +78,8 @@ NOTHING_TOLD = Offsets(
 def vertex_offsets(vertices: Floats, faces: Index, smooth: Bools, fans: Index, free: Bools) -> Offsets:
     """Find whether the vertices of a mesh lie on the surface that it approximates.
 
-    `smooth` (3 F,) half-edges are no creases, `fans` (F, 3) are the smooth fans of corners, and `free` (F,) facets are freely curved.
-    """
+    `smooth` (3 F,) half-edges are no creases, `fans` (F, 3) are the smooth fans of corners, and `free` (F,) facets are freely
+    curved."""
     flat = fans.reshape(-1)
     count = int(flat.max(initial=-1)) + 1
     on = smooth.reshape(-1, 3)

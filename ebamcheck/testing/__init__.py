@@ -1,7 +1,9 @@
-"""The conformance kit: write a slicer, derive one class, and know whether it can be trusted; docs/your-slicer.md says what is checked.
+"""The conformance kit: write a slicer, derive one class, and know whether it can be trusted; docs/your-slicer.md says what is
+checked.
 
-A slicer keeps the protocol of :mod:`ebamcheck.backend` and is registered under the entry point group ``ebamcheck.backends``. To test it, put this
-into a test file of its package and run pytest; without pytest, once it is installed: ``ebamcheck conform my-slicer``::
+A slicer keeps the protocol of :mod:`ebamcheck.backend` and is registered under the entry point group ``ebamcheck.backends``. To
+test it, put this into a test file of its package and run pytest; without pytest, once it is installed: ``ebamcheck conform
+my-slicer``::
 
     from ebamcheck.testing import SlicerSuite
     from my_slicer import MySlicer

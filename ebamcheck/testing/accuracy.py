@@ -211,9 +211,9 @@ def reference_models(subject: Subject) -> list[Figure]:
 
 
 def _model_figures(subject: Subject, name: str, model: Model) -> list[Figure]:
-    """Area by which layers of one model break their promise. No point of the mesh is farther than `t` from the surface, so its section at z lies within
-    the union of the exact sections at z - t .. z + t dilated by t, and contains their intersection eroded by t.
-    """
+    """Area by which layers of one model break their promise. No point of the mesh is farther than `t` from the surface, so its
+    section at z lies within the union of the exact sections at z - t .. z + t dilated by t, and contains their intersection eroded
+    by t."""
     size_mm = float((model.bounds[1] - model.bounds[0]).max())
     t = min(max(MODEL_TOLERANCE * size_mm, 0.01), 0.5)
     part = model.tessellate(t)
@@ -240,9 +240,8 @@ def _model_figures(subject: Subject, name: str, model: Model) -> list[Figure]:
 
 
 def _by_another_rule(subject: Subject, part: Part, layers: Layers, heights: Floats) -> dict[int, Figure]:
-    """Figures of the layers where the declared inside rule asks for another solid than the house's, the union of shells, which is a model's closed form:
-    there the slicer is held against the section of the mesh by that rule, as on solids (`inside_rule`).
-    """
+    """Figures of the layers where the declared inside rule asks for another solid than the house's, the union of shells, which is a
+    model's closed form: there the slicer is held against the section of the mesh by that rule, as on solids (`inside_rule`)."""
     rule = solids.winding_rule(subject.inside_rule(layers))
     if rule is None or subject.inside_rule(layers) == solids.HOUSE_RULE:
         return {}

@@ -199,7 +199,8 @@ def _without_second(text: str, words: str) -> str:
 
 
 def _corner_left_out(text: str) -> str:
-    """Leave out a straight motion to a corner; one to a place on the straight from the motion before to the next is no other path."""
+    """Leave out a straight motion to a corner; one to a place on the straight from the motion before to the next is no other
+    path."""
     moves = list(re.finditer(r"^.*\bG1 X(-?[\d.]+) Y(-?[\d.]+).*\n", text, re.MULTILINE))
     for a, b, c in zip(moves[2:], moves[3:], moves[4:], strict=False):
         x, y, u, v = (float(b[k]) - float(other[k]) for other in (a, c) for k in (1, 2))
@@ -221,7 +222,8 @@ CONTROL_CHECKS = (declaration, read_back, form_of_text, planted_faults)
 
 
 def control_figures(subject: ControlSubject) -> Iterator[tuple[str, str, list[Figure]]]:
-    """Name, summary and figures of every check; whatever a control raises is a violation; one that is not read back is held to its declaration alone."""
+    """Name, summary and figures of every check; whatever a control raises is a violation; one that is not read back is held to its
+    declaration alone."""
     for check in CONTROL_CHECKS if subject.control.is_read else CONTROL_CHECKS[:1]:
         name = check.__name__.replace("_", " ")
         try:

@@ -1,4 +1,5 @@
-"""Laws that hold for every slicer, whatever the part: maps carry sections along, order does not matter; :data:`LAWS` apply each with fixed numbers."""
+"""Laws that hold for every slicer, whatever the part: maps carry sections along, order does not matter; :data:`LAWS` apply each
+with fixed numbers."""
 
 from __future__ import annotations
 
@@ -113,9 +114,9 @@ def disjoint_union(subject: Subject, part: Part, other: Part, heights: Floats) -
 
 
 def volume_from_areas(subject: Subject, part: Part) -> list[Figure]:
-    """The integral of the areas is the volume: between two levels of vertices the area is a quadratic polynomial of the height, which two points of Gauss
-    integrate without error; a section within r of the true one misses its area by r times its perimeter and pi r squared a ring at most.
-    """
+    """The integral of the areas is the volume: between two levels of vertices the area is a quadratic polynomial of the height,
+    which two points of Gauss integrate without error; a section within r of the true one misses its area by r times its perimeter
+    and pi r squared a ring at most."""
     levels = np.unique(part.vertices[:, 2])
     levels = levels[np.append(True, np.diff(levels) > LEAST_INTERVAL_MM)]
     middle, half = 0.5 * (levels[1:] + levels[:-1]), 0.5 * np.diff(levels)
@@ -132,9 +133,8 @@ def volume_from_areas(subject: Subject, part: Part) -> list[Figure]:
 
 
 def parity_of_rings(subject: Subject, part: Part, heights: Floats) -> list[Figure]:
-    """The number of rings is odd or even as the Euler number of the surface below the plane z = h + 0: sheets with ``2 - 2 handles - rings`` each, which
-    contracts onto the facets that lie wholly below, so that it is counted without any tracing.
-    """
+    """The number of rings is odd or even as the Euler number of the surface below the plane z = h + 0: sheets with ``2 - 2 handles
+    - rings`` each, which contracts onto the facets that lie wholly below, so that it is counted without any tracing."""
     layers = subject.cut(part, heights)
     edges = np.unique(np.sort(part.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1), axis=0)
     z = part.vertices[:, 2]

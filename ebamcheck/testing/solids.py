@@ -1,7 +1,8 @@
-"""Small closed solids on which slicers are tested, and their exact sections by plain means: segments, polygons of their arrangement, winding numbers.
+"""Small closed solids on which slicers are tested, and their exact sections by plain means: segments, polygons of their
+arrangement, winding numbers.
 
-Those of :data:`SIMPLE` bound one winding number, so any slicer should take them. Sections share no code with a slicer; time goes with segments squared.
-"""
+Those of :data:`SIMPLE` bound one winding number, so any slicer should take them. Sections share no code with a slicer; time goes
+with segments squared."""
 
 from __future__ import annotations
 
@@ -244,7 +245,8 @@ def _wedges() -> list[BaseGeometry]:
 
 
 def attackers(bound_mm: float) -> dict[str, Part]:
-    """Prisms with features about as thin as a bound: thin walls, slits, posts and pores, wedges; all in the box of :func:`frame`, and so of one bound."""
+    """Prisms with features about as thin as a bound: thin walls, slits, posts and pores, wedges; all in the box of :func:`frame`,
+    and so of one bound."""
     plate = shapely.box(0.0, 0.0, FRAME_MM, FRAME_MM)
     across = shapely.box(1.0, 8.0, FRAME_MM - 1.0, 14.0)
     strips, posts = _strips(bound_mm), _posts(bound_mm)
@@ -298,7 +300,8 @@ RULES: dict[str, WindingRule] = {
 
 
 def segments(part: Part, height: float) -> NDArray[np.float64]:
-    """Directed segments of the plane z = height + 0, (S, 2, 2) mm, material on the left; an edge is cut where ``min <= height < max``.
+    """Directed segments of the plane z = height + 0, (S, 2, 2) mm, material on the left; an edge is cut where ``min <= height <
+    max``.
 
     The crossing is computed from its lower vertex, so that both facets of an edge give the same point.
     """

@@ -1,7 +1,8 @@
-"""Every gate of a finished run, worked out again from part, settings and the program's text; nothing that the run recorded is believed.
+"""Every gate of a finished run, worked out again from part, settings and the program's text; nothing that the run recorded is
+believed.
 
-The part is sliced anew, by another exact slicer than the one whose contours became the program, and the text is laid over these sections.
-"""
+The part is sliced anew, by another exact slicer than the one whose contours became the program, and the text is laid over these
+sections."""
 
 from __future__ import annotations
 
@@ -317,6 +318,7 @@ def text_again(
 
 
 def truth_of(manifest: Mapping[str, Any]) -> Truth:
-    """What a run's record tells of its program, against which its header is held, by the settings as recorded: a version may have more."""
+    """What a run's record tells of its program, against which its header is held, by the settings as recorded: a version may have
+    more."""
     validated = bool(manifest["program"]["validated"])
     return Truth(validated, manifest["part"]["sha256"], sha256_of_json(manifest["settings"]))

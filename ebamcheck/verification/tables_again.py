@@ -1,4 +1,5 @@
-"""Tables and reports of a finished run, worked out again: a hash shows that a file was changed, and nothing where hashes are made anew."""
+"""Tables and reports of a finished run, worked out again: a hash shows that a file was changed, and nothing where hashes are made
+anew."""
 
 from __future__ import annotations
 

@@ -121,7 +121,8 @@ def settings_beside(program: Path) -> Config:
 def verify_run(
     folder: Path, part: Path | None = None, *, quick: bool = False, trusted: dict[bytes, str] | None = None
 ) -> list[Check]:
-    """Check that a run folder is what it says: its hashes and certificate, and every gate worked out again, as :func:`verify` does."""
+    """Check that a run folder is what it says: its hashes and certificate, and every gate worked out again, as :func:`verify`
+    does."""
     run = RunFolder(folder)
     manifest = run.manifest()
     try:
@@ -260,7 +261,8 @@ def verify_against_part(
 
 
 def _turned(program: Path, path: Path, part: Part, layers: Layers, config: Config) -> list[Check]:
-    """What a part that is turned on a tilt table has to meet, by its mesh: its mounting, and what stands; nothing for one that is not."""
+    """What a part that is turned on a tilt table has to meet, by its mesh: its mounting, and what stands; nothing for one that is
+    not."""
     said = config.part.on_table
     if said is None:
         return []

@@ -1,4 +1,5 @@
-"""Starts and ends of beads: seams that move on, contours that overlap their start, and a beam that ramps, by cuts that keep the curve."""
+"""Starts and ends of beads: seams that move on, contours that overlap their start, and a beam that ramps, by cuts that keep the
+curve."""
 
 from __future__ import annotations
 
@@ -31,7 +32,8 @@ def driven_path(
 
 
 def planned_path(curves: CurveColumns, plan: ScanColumns, config: Config) -> Toolpath:
-    """Lay out the tracks of a stack in the form of curves that the control gets, by which lengths, and places of wire, differ a little."""
+    """Lay out the tracks of a stack in the form of curves that the control gets, by which lengths, and places of wire, differ a
+    little."""
     machine = config.machine
     form = written_form(machine)
     return driven_path(curves, plan, config, machine.printed_decimals, form, machine.line_tolerance_mm)
@@ -96,7 +98,8 @@ def _stretches(tracks: Tracks, seams: Floats, process: ProcessSettings) -> Stret
 def ramp_power(
     from_start: Floats, to_end: Floats, up_mm: Floats, down_mm: Floats, process: ProcessSettings
 ) -> Floats:
-    """Share of the full power at places on beads, (n,), by mm from its start and to its end: the middle of each step of its ramps."""
+    """Share of the full power at places on beads, (n,), by mm from its start and to its end: the middle of each step of its
+    ramps."""
     power = np.ones(from_start.size)
     for along, length in ((from_start, up_mm), (to_end, down_mm)):
         share = np.divide(along, length, out=np.ones_like(along), where=length > 0.0)
@@ -107,7 +110,8 @@ def ramp_power(
 
 
 def _seams(path: Toolpath, process: ProcessSettings, tracks: Tracks, below: Floats) -> tuple[Floats, Floats]:
-    """Lengths along tracks at which they are to start, (T,) mm, and the uppermost seams, (n, 2); `below` (n, 2) are those under the lowest layer.
+    """Lengths along tracks at which they are to start, (T,) mm, and the uppermost seams, (n, 2); `below` (n, 2) are those under the
+    lowest layer.
 
     A closed contour starts a shift further along itself than its place next to the seam below; others start where they do.
     """

@@ -57,7 +57,8 @@ class BlockFormat:
         return self._print("G5 I# J# P# Q# X# Y#", rows)
 
     def control_points(self, control: Floats, knots: Floats, shift: int) -> list[str]:
-        """BSPLINE blocks for all control points but the first: block i carries ``PL = U[i + shift] - U[i + shift - 1]``, of knots as rounded."""
+        """BSPLINE blocks for all control points but the first: block i carries ``PL = U[i + shift] - U[i + shift - 1]``, of knots
+        as rounded."""
         knots = self.rounded(knots - knots[0])
         i = np.arange(1, len(control))
         interval = self.rounded(knots[i + shift] - knots[i + shift - 1])

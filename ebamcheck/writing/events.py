@@ -1,4 +1,5 @@
-"""The events of a program before any control writes it, from the path that all translate: beads, turns, moves and waits, in order."""
+"""The events of a program before any control writes it, from the path that all translate: beads, turns, moves and waits, in
+order."""
 
 from __future__ import annotations
 

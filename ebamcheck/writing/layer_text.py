@@ -25,7 +25,8 @@ from ebamcheck.writing.tracks import Toolpath
 
 
 def motion_text(path: Toolpath, form: BlockFormat, cubics: Sequence[str]) -> list[str]:
-    """Text of every segment (N,): G1, G2, G3, and for cubic ones an entry of `cubics`: several lines, or none where another carries it."""
+    """Text of every segment (N,): G1, G2, G3, and for cubic ones an entry of `cubics`: several lines, or none where another carries
+    it."""
     text = np.empty(path.kind.size, dtype=object)
     straight, round_ = path.kind == STRAIGHT, path.kind == CIRCULAR
     text[straight] = form.lines(path.end[straight])
@@ -88,9 +89,8 @@ def layer_blocks(
 ) -> list[str]:  # fmt: skip
     """Blocks of layer `k`: contour rings and islands, each track between beam on and beam off, and the waits.
 
-    It begins with the modes `entry` and its own power, so that the control can enter the program there; the blocks of `around` come before
-    its first way and after its last.
-    """
+    It begins with the modes `entry` and its own power, so that the control can enter the program there; the blocks of `around` come
+    before its first way and after its last."""
     path, heat, templates = post.path, post.heat, post.templates
     values, share = post.values(k), float(post.heat.power_share[k])
     layer = _Layer(post, k)
@@ -194,7 +194,8 @@ class _Layer:
             self._position = None
 
     def _set(self, power: float, wire: float) -> None:
-        """Set beam and running wire to shares of those of the layer, where the control has a step as small as what they differ by."""
+        """Set beam and running wire to shares of those of the layer, where the control has a step as small as what they differ
+        by."""
         if power != self._power:
             before, self._power = self._switches(0), power
             self.lines += [] if before == (now := self._switches(0)) else now

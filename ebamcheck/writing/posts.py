@@ -79,7 +79,8 @@ def check_entry(layer: int, config: Config) -> None:
 
 
 def begin_at_layer(files: ProgramFiles, layer: int) -> ProgramFiles:
-    """Take the layers before `layer` (from 1) out of a program that was written, which says so; SettingsError where it has no such layer.
+    """Take the layers before `layer` (from 1) out of a program that was written, which says so; SettingsError where it has no such
+    layer.
 
     It is no proof of the part: checks of the whole miss the layers left out.
     """

@@ -1,4 +1,5 @@
-"""The pieces of fitted contours as segments that a machine can drive: straight, cubic (exact), or circular within a tolerance; and their parts."""
+"""The pieces of fitted contours as segments that a machine can drive: straight, cubic (exact), or circular within a tolerance; and
+their parts."""
 
 from __future__ import annotations
 
@@ -122,9 +123,8 @@ def _blossom(control: Floats, local: Floats, t0: Floats, t1: Floats, t2: Floats)
 def chords(found: Spans, tolerance_mm: float) -> tuple[Ints, Floats]:
     """Points on the spans such that their chords keep to `tolerance_mm`; the first point of a span is not given.
 
-    The chord error of n equal parts is at most ``max |p''| / (8 n^2)``, and p'' of a cubic is largest at an end. Returns the first point
-    of each piece, (P + 1,), and the points (N, 2), mm.
-    """
+    The chord error of n equal parts is at most ``max |p''| / (8 n^2)``, and p'' of a cubic is largest at an end. Returns the first
+    point of each piece, (P + 1,), and the points (N, 2), mm."""
     b = found.bezier
     quadratic = 3.0 * (b[:, 0] - 2.0 * b[:, 1] + b[:, 2])
     first, last = 2.0 * quadratic, 2.0 * quadratic + 6.0 * (b[:, 3] - b[:, 0] + 3.0 * (b[:, 1] - b[:, 2]))
@@ -147,8 +147,8 @@ MOST_HALVINGS = 14
 def spline_arcs(found: Spans, tolerance_mm: float) -> tuple[Ints, Floats, Floats]:
     """Arcs (N,) within `tolerance_mm` of the spans of all spline pieces.
 
-    Returns the first arc of each piece (P + 1,), points (N, 2) half-way along each arc, on the chord of a straight line, and its end (N, 2).
-    """
+    Returns the first arc of each piece (P + 1,), points (N, 2) half-way along each arc, on the chord of a straight line, and its
+    end (N, 2)."""
     span = np.arange(len(found.bezier))
     low, high = np.zeros(span.size), np.ones(span.size)
     done = [(span[:0], low[:0], *[np.zeros((0, 2))] * 4)]
@@ -177,7 +177,8 @@ def spline_arcs(found: Spans, tolerance_mm: float) -> tuple[Ints, Floats, Floats
 
 
 def _pairs(bezier: Floats, low: Floats, high: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-    """Pairs of arcs on the stretches from `low` to `high` of cubics (n, 4, 2): middle, joint, middle, and their distance from them."""
+    """Pairs of arcs on the stretches from `low` to `high` of cubics (n, 4, 2): middle, joint, middle, and their distance from
+    them."""
     start, end = bezier_places(bezier, low), bezier_places(bezier, high)
     chord = end - start
     t0, t1 = _direction(bezier, low, chord), _direction(bezier, high, chord)
@@ -274,7 +275,8 @@ def circles(start: Floats, middle: Floats, end: Floats) -> Circles:
 
 
 def arc_chords(start: Floats, middle: Floats, end: Floats, tolerance_mm: float) -> tuple[Ints, Floats]:
-    """Points (N, 2) along arcs whose chords keep to `tolerance_mm`, but for the first of an arc, after the first of each arc (n + 1,).
+    """Points (N, 2) along arcs whose chords keep to `tolerance_mm`, but for the first of an arc, after the first of each arc (n +
+    1,).
 
     The chord of a sweep s leaves a circle of radius r by ``r (1 - cos(s / 2))``.
     """
@@ -332,7 +334,8 @@ def segment_parts(
 def segment_places(
     kind: NDArray[np.uint8], points: Floats, lengths: Floats, step_mm: float
 ) -> tuple[Ints, Floats, Floats, Floats]:
-    """Places in the middle of pieces, of at most a length, of segments: the segment (m,), mm from its start, the place (m, 2), length of the piece."""
+    """Places in the middle of pieces, of at most a length, of segments: the segment (m,), mm from its start, the place (m, 2),
+    length of the piece."""
     count = np.maximum(np.ceil(lengths / step_mm), 1.0).astype(np.int64)
     owner = np.repeat(np.arange(count.size), count)
     t = (np.arange(owner.size) - np.repeat(np.cumsum(count) - count, count) + 0.5) / count[owner]

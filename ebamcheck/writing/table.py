@@ -1,8 +1,8 @@
 """Blocks that turn a tilt table for a layer and set its frame, and those that take both back.
 
-Positions of the axes follow in closed form (second subproblem of Paden and Kahan); the tip is over all that the table carries. Frames by
-Siemens NC Programming manual 12/2019, 2.12: TRANS takes every frame back and shifts, AROT turns counter-clockwise about the zero in force.
-"""
+Positions of the axes follow in closed form (second subproblem of Paden and Kahan); the tip is over all that the table carries.
+Frames by Siemens NC Programming manual 12/2019, 2.12: TRANS takes every frame back and shifts, AROT turns counter-clockwise about
+the zero in force."""
 
 from __future__ import annotations
 
@@ -70,7 +70,8 @@ def _word(axis: RotaryAxis, value: str) -> str:
 
 
 def tilt_of(config: Config, form: BlockFormat) -> Tilt | None:
-    """How the table is turned for the part of the settings, None where nothing is; SettingsError where limits or height leave no way."""
+    """How the table is turned for the part of the settings, None where nothing is; SettingsError where limits or height leave no
+    way."""
     stands = config.part.on_table
     if stands is None:
         return None

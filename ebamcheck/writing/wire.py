@@ -1,8 +1,8 @@
 """Wire for each bead: the widths by which a layer gets its height everywhere.
 
-A *width*, mm, is the metal of a bead in section over the height of the layer: one spacing for parallel beads, more along a contour, whose
-bead lays the rim, less where beads overlap. A hatch bead has one width; a contour changes it along itself where walls get thin.
-"""
+A *width*, mm, is the metal of a bead in section over the height of the layer: one spacing for parallel beads, more along a contour,
+whose bead lays the rim, less where beads overlap. A hatch bead has one width; a contour changes it along itself where walls get
+thin."""
 
 from __future__ import annotations
 

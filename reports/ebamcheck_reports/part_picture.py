@@ -20,8 +20,8 @@ REDUCTION_PX, SHADED_EVERY_PX = 0.3, 8.0
 """Largest distance of a drawn outline from its contour, and longest piece of it in one shade."""
 
 SHADED_OVER_PX, SHARP_RAD = 10.0, math.radians(35.0)
-"""Length of an outline over which its direction is taken for the shade, up to a turn at which its walls meet in an edge. Edges of the
-outline are cut otherwise on every layer: shaded by their own directions, a curved wall comes out in patches."""
+"""Length of an outline over which its direction is taken for the shade, up to a turn at which its walls meet in an edge. Edges of
+the outline are cut otherwise on every layer: shaded by their own directions, a curved wall comes out in patches."""
 
 TURN_RAD, TILT_RAD, LIGHT_RAD = math.radians(28.0), math.radians(32.0), math.radians(155.0)
 """Direction of view (turn about the vertical, tilt downwards), and of the light, counter-clockwise from +X of the picture."""

@@ -1,4 +1,5 @@
-"""The controls LinuxCNC and plain G-code: templates, codes, and modal groups (LinuxCNC G-code reference); their writers and readers by name."""
+"""The controls LinuxCNC and plain G-code: templates, codes, and modal groups (LinuxCNC G-code reference); their writers and readers
+by name."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Reader of LinuxCNC programs and of plain G-code: one file, G0 to G3, and G5 for LinuxCNC; comments in parentheses or after ``;``."""
+"""Reader of LinuxCNC programs and of plain G-code: one file, G0 to G3, and G5 for LinuxCNC; comments in parentheses or after
+``;``."""
 
 from __future__ import annotations
 

@@ -22,7 +22,8 @@ def write_linuxcnc(
     curves: CurveColumns, plan: ScanColumns, config: Config, folder: str | Path, *, validated: bool = False,
     header: Mapping[str, str] | None = None, path: Toolpath | None = None,
 ) -> ProgramFiles:  # fmt: skip
-    """Write one ``.ngc`` file: splines as G5, exactly, or as arcs or lines; takes and raises what :func:`ebamcheck.write_program` does."""
+    """Write one ``.ngc`` file: splines as G5, exactly, or as arcs or lines; takes and raises what :func:`ebamcheck.write_program`
+    does."""
     forms: Mapping[str, Form] = {"arcs": "arcs", "lines": "chords"}
     tolerance = plain(config.machine.smoothing_tolerance_mm)
     modes = ["G17 G21 G90 G91.1 G94", "G40 G49 G80", "G92.1", config.machine.work_offset, f"G64 P{tolerance}"]
@@ -34,7 +35,8 @@ def write_plain_gcode(
     curves: CurveColumns, plan: ScanColumns, config: Config, folder: str | Path, *, validated: bool = False,
     header: Mapping[str, str] | None = None, path: Toolpath | None = None,
 ) -> ProgramFiles:  # fmt: skip
-    """Write one ``.gcode`` file of G0 to G3, splines as arcs or lines; takes and raises what :func:`ebamcheck.write_program` does."""
+    """Write one ``.gcode`` file of G0 to G3, splines as arcs or lines; takes and raises what :func:`ebamcheck.write_program`
+    does."""
     form: Form = "chords" if config.machine.curve_form == "lines" else "arcs"
     modes = ["G17 G21 G90 G94", "G40 G49 G80", "G92.1", config.machine.work_offset]
     post = Post.of(curves, plan, config, PLAIN_GCODE, form, path)

@@ -23,7 +23,8 @@ LONGEST_BLOCK = 200  # Characters of a block
 
 
 def handshake_check(text: str, file: str, config: Config, top_mm: float) -> Check:
-    """Judge the text of a waiting main program of a part whose top is to lie at a Z; see :class:`Doors` for what it has to stand."""
+    """Judge the text of a waiting main program of a part whose top is to lie at a Z; see :class:`Doors` for what it has to
+    stand."""
     try:
         faults = [(f"{file}:{line}", what) for line, what in _faults(text, config, top_mm)]
     except InputError as error:

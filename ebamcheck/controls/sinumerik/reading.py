@@ -80,7 +80,8 @@ class SinumerikReader(Reader):
         self._depth = 0
 
     def split(self, text: str) -> tuple[str, list[str]]:
-        """Code and comment of a line, from the first semicolon in no message; a quotation mark without its other half stays in the code."""
+        """Code and comment of a line, from the first semicolon in no message; a quotation mark without its other half stays in the
+        code."""
         end = _CODE.match(text).end()  # type: ignore[union-attr]
         return (text, []) if text[end : end + 1] == '"' else (text[:end], [text[end + 1 :]])
 
@@ -287,9 +288,9 @@ CUBIC = 3
 def knot_vector(intervals: Floats, shift: Literal[2, 3], degree: int = CUBIC) -> Floats:
     """Knots (m + degree + 2,) of a spline of m + 1 control points from the m intervals PL of its blocks.
 
-    Block i = 1 .. m of a cubic carries ``PL = U[i + shift] - U[i + shift - 1]``; one of degree 2 has a knot less before its first interval.
-    Unless the outer degree + 1 coincide at both ends, the program means the other convention, and is refused with a ValueError.
-    """
+    Block i = 1 .. m of a cubic carries ``PL = U[i + shift] - U[i + shift - 1]``; one of degree 2 has a knot less before its first
+    interval. Unless the outer degree + 1 coincide at both ends, the program means the other convention, and is refused with a
+    ValueError."""
     m = intervals.size
     if (intervals < 0.0).any():
         raise ValueError(f"PL={intervals.min():g} in a BSPLINE: intervals cannot be negative")
@@ -311,9 +312,9 @@ def spline_spans(
 ) -> tuple[Ints, Floats, Floats]:
     """Split a spline of degree 2 or 3 into its knot spans, each over 0 <= t <= 1.
 
-    `blocks` (m + 1, 3) are X, Y and PL of the control points; PL of the first, the position before, is not used. Returns the block (S,) whose
-    control point is the last to shape the span, its end (S, 2), mm, and the coefficients (S, 4) of t^2 and t^3 in X, then in Y.
-    """
+    `blocks` (m + 1, 3) are X, Y and PL of the control points; PL of the first, the position before, is not used. Returns the block
+    (S,) whose control point is the last to shape the span, its end (S, 2), mm, and the coefficients (S, 4) of t^2 and t^3 in X,
+    then in Y."""
     m = len(blocks) - 1
     if m < degree:
         name = "cubic" if degree == CUBIC else "quadratic"

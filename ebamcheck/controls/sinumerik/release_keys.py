@@ -1,8 +1,8 @@
 """Keys by which a waiting main program tells a release from a value that somebody else wrote.
 
-The key of the layer below is worked out from that of a layer, and not the other way round. A seal over key, layer, number and wait belongs
-to each release. All is whole numbers below 2^53, exact in a REAL of the control. It is no cryptography: who works it out can undo it.
-"""
+The key of the layer below is worked out from that of a layer, and not the other way round. A seal over key, layer, number and wait
+belongs to each release. All is whole numbers below 2^53, exact in a REAL of the control. It is no cryptography: who works it out
+can undo it."""
 
 from __future__ import annotations
 

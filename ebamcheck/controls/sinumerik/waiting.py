@@ -1,9 +1,9 @@
 """The main program that waits between layers for the next one to be released, and calls it by its name.
 
-Eight R parameters from ``machine.live_r`` on are the handshake: layers done, layer released (-1: the part is built), number of its program,
-least wait, time waited, wait left, and from the eleventh further on key and seal (:mod:`ebamcheck.controls.sinumerik.release_keys`).
-Sources: Siemens Job Planning manual (indirect call by a STRING, ``<<``, SUBSTR, TRUNC, STOPRE); tried on no control.
-"""
+Eight R parameters from ``machine.live_r`` on are the handshake: layers done, layer released (-1: the part is built), number of its
+program, least wait, time waited, wait left, and from the eleventh further on key and seal
+(:mod:`ebamcheck.controls.sinumerik.release_keys`). Sources: Siemens Job Planning manual (indirect call by a STRING, ``<<``, SUBSTR,
+TRUNC, STOPRE); tried on no control."""
 
 from __future__ import annotations
 

@@ -1,7 +1,8 @@
-"""A waiting main program run block by block, as far as it needs; what is not known here is refused, and nothing shared with what writes it.
+"""A waiting main program run block by block, as far as it needs; what is not known here is refused, and nothing shared with what
+writes it.
 
-It sets the modes of the profile before anything else, switches nothing on, and moves once, over all that stands to where the tool is parked.
-"""
+It sets the modes of the profile before anything else, switches nothing on, and moves once, over all that stands to where the tool
+is parked."""
 
 from __future__ import annotations
 
@@ -74,8 +75,8 @@ def run_text(
 ) -> Run:
     """Run a text to its end; one that goes on for ever after a stop, or for `most_blocks`, is left there.
 
-    `top_mm` is Z of the part's top, over which the program ends. A block that is not understood is an :class:`InputError`, ``LINE what``.
-    """
+    `top_mm` is Z of the part's top, over which the program ends. A block that is not understood is an :class:`InputError`, ``LINE
+    what``."""
     state, machine = WaitingState(config, top_mm), config.machine
     counted, *written = (f"R{machine.live_r + k}" for k in (0, 1, 2, 3, 11, 12))
     run = Run(door, frozenset(written))
@@ -211,7 +212,8 @@ OFF = ("beam_off", "wire_stop")
 
 
 class WaitingState:
-    """State of the machine while a waiting main program of a part whose top is to lie at Z `top_mm` runs; each step tells its faults."""
+    """State of the machine while a waiting main program of a part whose top is to lie at Z `top_mm` runs; each step tells its
+    faults."""
 
     def __init__(self, config: Config, top_mm: float) -> None:
         known = checked_templates(config.machine, NAME)

@@ -36,8 +36,8 @@ def write_program(
 ) -> ProgramFiles:  # fmt: skip
     """Write the program of a stack: contour rings first, then islands in scan order, layer by layer.
 
-    Takes and raises what :func:`ebamcheck.write_program` does; `path` are the tracks of curves and plan, where they are laid out already.
-    """
+    Takes and raises what :func:`ebamcheck.write_program` does; `path` are the tracks of curves and plan, where they are laid out
+    already."""
     machine, name = config.machine, config.machine.program_name
     post = Post.of(curves, plan, config, CONTROL, _licensed_form(curves, machine), path)
     layers = len(post.path.z)
@@ -183,7 +183,8 @@ def even(knots: Floats) -> bool:
 
 
 def refined(control: Floats, knots: Floats, blocks: int) -> tuple[Floats, Floats]:
-    """Return the same spline with at least `blocks` control points after its first: knots go to the middle of the longest span (Boehm)."""
+    """Return the same spline with at least `blocks` control points after its first: knots go to the middle of the longest span
+    (Boehm)."""
     from scipy.interpolate import BSpline  # half of the time that this package takes to import
 
     spline = BSpline(knots, control, DEGREE)

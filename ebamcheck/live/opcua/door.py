@@ -1,8 +1,8 @@
 """The door to a control: what is seen on it decides, over and over, what is done next.
 
-A layer is uploaded, read back and compared, and released last of all, once, to a program that is seen to wait for it. What was released and
-is gone (RESET) is released again on the operator's word alone, since nobody here knows how much of it lies on the part.
-"""
+A layer is uploaded, read back and compared, and released last of all, once, to a program that is seen to wait for it. What was
+released and is gone (RESET) is released again on the operator's word alone, since nobody here knows how much of it lies on the
+part."""
 
 from __future__ import annotations
 
@@ -27,7 +27,8 @@ LEADS, UPLOADED, RELEASED, AGAIN = "leads", "uploaded", "released", "again"  # k
 
 
 class Telling:
-    """Answers of a door, each told once, and when it tries again what was refused: the time before the next try doubles up to the longest."""
+    """Answers of a door, each told once, and when it tries again what was refused: the time before the next try doubles up to the
+    longest."""
 
     def __init__(self, told: Callable[[Answer], None], retry_s: float, longest_s: float) -> None:
         self._told, self._retry_s, self._longest_s = told, retry_s, longest_s
@@ -109,7 +110,8 @@ class Door:
                 self._released = None
 
     async def run(self) -> Answer:
-        """Lead the build to its end, over connections; SettingsError where none lets us in, or has no such nodes, before anything was done."""
+        """Lead the build to its end, over connections; SettingsError where none lets us in, or has no such nodes, before anything
+        was done."""
         pause_s, ever = self._opcua.retry_s, False
         while True:
             try:

@@ -1,7 +1,7 @@
 """The handshake with a control: its nodes, what was seen in them, and what releases a layer: file, values and keys.
 
-Of the R parameters from ``machine.live_r`` on, the first six, key and seal are the waiting main program's, the others of `live` and who measures.
-"""
+Of the R parameters from ``machine.live_r`` on, the first six, key and seal are the waiting main program's, the others of `live` and
+who measures."""
 
 from __future__ import annotations
 
@@ -43,7 +43,8 @@ def file_path(machine: MachineSettings, opcua: OpcuaSettings, name: str) -> str:
 
 @dataclass(frozen=True)
 class Seen:
-    """Values of the handshake as they were read at once; NaN for one that is no number, None for a height that the control does not give."""
+    """Values of the handshake as they were read at once; NaN for one that is no number, None for a height that the control does not
+    give."""
 
     done: float
     released: float

@@ -151,7 +151,8 @@ class BrokenOff(Exception):
 
 
 async def within(asked: Awaitable[T], limit_s: float) -> T:
-    """Wait for a result in a task of its own, and never lose a cancellation; before Python 3.12 ``asyncio.wait_for`` does, and asyncua.
+    """Wait for a result in a task of its own, and never lose a cancellation; before Python 3.12 ``asyncio.wait_for`` does, and
+    asyncua.
 
     Raises TimeoutError where it takes longer and is cancelled then, BrokenOff where it was cancelled, and not by the one who waits.
     """
@@ -178,7 +179,8 @@ async def cancelled(task: asyncio.Future[T]) -> None:
 
 
 class Link:
-    """A connection, opened by `async with`; each method raises LinkLost where the control does not answer, NotTaken where it refuses."""
+    """A connection, opened by `async with`; each method raises LinkLost where the control does not answer, NotTaken where it
+    refuses."""
 
     def __init__(self, machine: MachineSettings, opcua: OpcuaSettings) -> None:
         self._machine, self._opcua = machine, opcua

@@ -132,9 +132,8 @@ NO_AREA_MM2 = 1e-6  # pieces smaller than this are rounding
 def bare_spots(
     section: BaseGeometry, bare: BareSamples, segments: Floats, bead_width_mm: float
 ) -> list[shapely.Polygon]:
-    """Parts of a section further than half a bead width from every segment (x0, y0, x1, y1), mm, but for those that hold no sample or are under
-    :data:`LEAST_SPOT` or :data:`LEAST_SHARE`.
-    """
+    """Parts of a section further than half a bead width from every segment (x0, y0, x1, y1), mm, but for those that hold no sample
+    or are under :data:`LEAST_SPOT` or :data:`LEAST_SHARE`."""
     parts = np.asarray(valid_polygons(section), object)
     least_mm2 = min(LEAST_SPOT * bead_width_mm**2, LEAST_SHARE * section.area / max(1, parts.size))
     boxes = _boxes(bare, 0.5 * least_mm2)
@@ -174,10 +173,11 @@ def spot_widths_mm(spots: Sequence[shapely.Polygon]) -> Floats:
 def spots_to_close(
     spots: Sequence[shapely.Polygon], width_mm: float, area_mm2: float, covered: float, least: float
 ) -> tuple[list[shapely.Polygon], float]:
-    """Spots that get a bead: those at least `width_mm` wide, then the largest while too little is covered; and the width of the widest that stays.
+    """Spots that get a bead: those at least `width_mm` wide, then the largest while too little is covered; and the width of the
+    widest that stays.
 
-    `area_mm2` is that of the section, `covered` its share that is covered without gap beads, `least` the share that is to be covered.
-    """
+    `area_mm2` is that of the section, `covered` its share that is covered without gap beads, `least` the share that is to be
+    covered."""
     widths = spot_widths_mm(spots)
     by_area = np.argsort([-spot.area for spot in spots], kind="stable")
     chosen, left = [], []
@@ -198,10 +198,11 @@ def gap_beads(
     bead_width_mm: float,
     spacing_mm: float,
 ) -> tuple[NDArray[np.object_], Ints, NDArray[np.object_]]:
-    """Lay a bead over each spot, within the section: what lies in an island is driven with it, the rest gets islands that overlap no other.
+    """Lay a bead over each spot, within the section: what lies in an island is driven with it, the rest gets islands that overlap
+    no other.
 
-    Centre lines (N,), the island in which each lies (N,): one of those given, or a new one, and the new islands (M,), numbered after those given.
-    """
+    Centre lines (N,), the island in which each lies (N,): one of those given, or a new one, and the new islands (M,), numbered
+    after those given."""
     tree = shapely.STRtree(islands)
     parts = np.asarray(valid_polygons(section), object)
     around = shapely.STRtree(parts)
@@ -243,7 +244,8 @@ def _pieces(line: shapely.LineString, region: BaseGeometry, shortest_mm: float) 
 def _places(
     lines: Sequence[shapely.LineString], free: BaseGeometry, reach_mm: float
 ) -> list[tuple[shapely.Polygon, list[shapely.LineString]]]:
-    """Islands of the gap beads of one spot, and the lines in each: what lies around them and is in no other; lines whose surroundings meet share one."""
+    """Islands of the gap beads of one spot, and the lines in each: what lies around them and is in no other; lines whose
+    surroundings meet share one."""
     around = shapely.union_all(shapely.buffer(cells.column(lines), reach_mm, quad_segs=ARC_SEGMENTS))
     parts = [p for p in valid_polygons(shapely.intersection(around, free)) if p.area > NO_AREA_MM2]
     held: list[list[shapely.LineString]] = [[] for _ in parts]

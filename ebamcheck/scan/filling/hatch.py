@@ -1,8 +1,7 @@
 """Parallel lines that fill islands: an exact scan-line clip of all islands at once.
 
-An island of depth D across its hatch gets the whole number of lines that comes nearest to the set spacing and leaves no gap, spread evenly. Lines
-end on its border, so that lines times pitch is its area, and neighbouring islands meet without a seam.
-"""
+An island of depth D across its hatch gets the whole number of lines that comes nearest to the set spacing and leaves no gap, spread
+evenly. Lines end on its border, so that lines times pitch is its area, and neighbouring islands meet without a seam."""
 
 from __future__ import annotations
 
@@ -51,7 +50,8 @@ class Vectors:
 def hatch(
     islands: ArrayLike, angle_rad: ArrayLike, bead_width_mm: float, spacing_mm: float
 ) -> tuple[Vectors, Floats]:
-    """Fill islands (I,) with parallel lines at angles (I,), rad counter-clockwise from +X, one after the other, alternating; and the angles used.
+    """Fill islands (I,) with parallel lines at angles (I,), rad counter-clockwise from +X, one after the other, alternating; and
+    the angles used.
 
     An island narrower than the spacing is filled along its long side: one line there is better than many stubs across.
     """

@@ -15,7 +15,8 @@ from ebamcheck.settings.process_window import TURN_SPACINGS
 
 @dataclass(frozen=True, eq=False)
 class IslandSchedule:
-    """Columns of the islands of a layer. An island may be driven from either side, with turns at the other ends of its lines: both count by their mean."""
+    """Columns of the islands of a layer. An island may be driven from either side, with turns at the other ends of its lines: both
+    count by their mean."""
 
     # (I, 4, 2) points at which an island may be entered, and where it is then left, mm: the four entry options of
     # :func:`ebamcheck.scan.order.entries.in_sequence`; an option that is not open to an island repeats its first
@@ -81,7 +82,8 @@ def gaps_mm(start: Floats, end: Floats) -> Floats:
 def follows(island: Ints, start: Floats, end: Floats, spacing_mm: float) -> Bools:
     """Which lines (V,), in the order in which they are driven, go on where the one before ended: the beam stays on.
 
-    The turn is short, goes back on neither line, and over no line of its island; `spacing_mm` is the distance between parallel beads.
+    The turn is short, goes back on neither line, and over no line of its island; `spacing_mm` is the distance between parallel
+    beads.
 
     >>> ends = np.array([[0.0, 0.0], [9.0, 4.0], [0.0, 20.0]]), np.array([[9.0, 0.0], [0.0, 4.0], [9.0, 20.0]])
     >>> follows(np.zeros(3, np.int64), *ends, 4.32).tolist()

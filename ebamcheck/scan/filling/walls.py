@@ -1,9 +1,9 @@
 """Beads along thin walls: the centre line of a wall, and lines parallel to it, as many as fit side by side.
 
-The centre line is the part of the Voronoi diagram of points on the wall's border that separates its two sides: an edge counts where its two border
-points lie much further apart along the border than straight across. Where three branches meet, the two that go straightest on are one bead. A
-pointed end is left to the round end of its one bead, which stops where the wall is narrower than a share of the bead.
-"""
+The centre line is the part of the Voronoi diagram of points on the wall's border that separates its two sides: an edge counts where
+its two border points lie much further apart along the border than straight across. Where three branches meet, the two that go
+straightest on are one bead. A pointed end is left to the round end of its one bead, which stops where the wall is narrower than a
+share of the bead."""
 
 from __future__ import annotations
 
@@ -53,11 +53,12 @@ WEED_MM = 1e-4  # corners of the Voronoi diagram joined by an edge shorter than 
 def wall_lines(
     wall: shapely.Polygon, bead_width_mm: float, spacing_mm: float, to_the_end: bool = True
 ) -> list[Floats]:
-    """Polylines (k, 2), mm, along which beads fill a thin wall, side by side where it is wide enough; none for a wall that has no centre line.
+    """Polylines (k, 2), mm, along which beads fill a thin wall, side by side where it is wide enough; none for a wall that has no
+    centre line.
 
-    Every line lies in the wall, and reaches its end, or that of its taper, unless it is not `to_the_end`: then the round end of its bead does, as where
-    there is no other metal around. No two are nearer than :data:`LEAST_APART`, none is shorter than :data:`LEAST_BEAD` where there is another one.
-    """
+    Every line lies in the wall, and reaches its end, or that of its taper, unless it is not `to_the_end`: then the round end of its
+    bead does, as where there is no other metal around. No two are nearer than :data:`LEAST_APART`, none is shorter than
+    :data:`LEAST_BEAD` where there is another one."""
     width = mean_width_mm(wall)
     if width <= NO_WIDTH_MM:
         return []
@@ -76,7 +77,8 @@ def wall_lines(
 
 
 def centre_line(wall: shapely.Polygon, width_mm: float) -> list[shapely.LineString]:
-    """Branches of the centre line of a wall of the given width, from fork to fork or end to end; a free end lies half a width before that of the wall."""
+    """Branches of the centre line of a wall of the given width, from fork to fork or end to end; a free end lies half a width
+    before that of the wall."""
     points, place, around, ring = _border_samples(wall, width_mm)
     middle = points.mean(axis=0)  # Qhull joggles, and rounds, by the greatest coordinate
     try:
@@ -232,7 +234,8 @@ def _side_by_side(
 
 
 def _without_hooks(line: shapely.LineString, bead_width_mm: float) -> shapely.LineString:
-    """Leave out corners at which a line turns back on itself for a moment: inside a bend, lines beside its middle cross themselves."""
+    """Leave out corners at which a line turns back on itself for a moment: inside a bend, lines beside its middle cross
+    themselves."""
     points = shapely.get_coordinates(line)
     while len(points) > 3:
         steps = np.diff(points, axis=0)

@@ -47,9 +47,8 @@ def partition(
 ) -> Cells:
     """Divide solids into islands by a lattice; together they are the solids, and no two overlap.
 
-    A solid smaller than one hexagon stays whole. No other island is under the least area (the lesser of :data:`SLIVER_AREA` and :data:`SLIVER_SHARE`) or the
-    least width (:data:`SLIVER_WIDTH`, likewise), unless its whole solid is.
-    """
+    A solid smaller than one hexagon stays whole. No other island is under the least area (the lesser of :data:`SLIVER_AREA` and
+    :data:`SLIVER_SHARE`) or the least width (:data:`SLIVER_WIDTH`, likewise), unless its whole solid is."""
     small = hexagon_area_mm2(lattice.side_mm)
     whole = [p for p in solids if p.area <= small]
     large = [p for p in solids if p.area > small]
@@ -77,9 +76,8 @@ def undivided(solids: Sequence[shapely.Polygon]) -> Cells:
 def clip_lattice(solids: Sequence[shapely.Polygon], lattice: Lattice) -> tuple[NDArray[np.object_], Ints]:
     """Parts of every cell that lie in a solid, and the cell of each, in order of the cells.
 
-    Cells inside are kept as they are. Those on a border are cut together, so that two parts with a common border share its points to the last bit, where a
-    cut of each cell by itself leaves hairs between them.
-    """
+    Cells inside are kept as they are. Those on a border are cut together, so that two parts with a common border share its points
+    to the last bit, where a cut of each cell by itself leaves hairs between them."""
     pieces: list[NDArray[np.object_]] = [np.zeros(0, object)]
     owners: list[Ints] = [np.zeros(0, np.int64)]
     for solid in solids:
@@ -125,7 +123,8 @@ def _inner_points(faces: NDArray[np.object_]) -> NDArray[np.object_]:
 
 
 def sliver_groups(pieces: NDArray[np.object_], area_mm2: float, width_mm: float) -> Ints:
-    """Group of every piece (I,), named by its largest piece: the smallest sliver joins the neighbour with the longest border, until none is left.
+    """Group of every piece (I,), named by its largest piece: the smallest sliver joins the neighbour with the longest border, until
+    none is left.
 
     A group is a sliver as long as it is under the least area or width, all of it; one that has no neighbour is a whole solid.
     """
@@ -170,7 +169,8 @@ def rectangle_width_mm(area_mm2: float, border_mm: float) -> float:
 
 
 def _united(pieces: NDArray[np.object_], groups: Ints) -> tuple[list[shapely.Polygon], Ints]:
-    """Islands by group, and the piece that names each: common edges go; a group without area, a hair beside the solid, is no island."""
+    """Islands by group, and the piece that names each: common edges go; a group without area, a hair beside the solid, is no
+    island."""
     merged: list[shapely.Polygon] = []
     first: list[int] = []
     by_group = np.argsort(groups, kind="stable")
@@ -202,7 +202,8 @@ TOUCH_MM = 1e-6
 
 
 def shared_borders(islands: NDArray[np.object_]) -> tuple[Ints, Floats]:
-    """Pairs (P, 2) of islands, the lesser first, sorted, with a common border, and its length (P,); those that meet in a point only are left out."""
+    """Pairs (P, 2) of islands, the lesser first, sorted, with a common border, and its length (P,); those that meet in a point only
+    are left out."""
     if islands.size < 2:
         return np.zeros((0, 2), np.int64), np.zeros(0)
     boxes = shapely.box(*(shapely.bounds(islands) + np.array([-1, -1, 1, 1]) * TOUCH_MM).T)
@@ -282,8 +283,8 @@ ROUNDING_DEG = 1e-6
 def hatch_directions(found: Cells, spacing_mm: float, turn_deg: float, island_angle_deg: float) -> Floats:
     """Direction of the lines of each island, (I,) rad; islands narrower than `spacing_mm` are filled along their long side.
 
-    `turn_deg` is the direction of the first colour on this layer, `island_angle_deg` the turn from colour to colour; at a multiple of 180 there is but one.
-    """
+    `turn_deg` is the direction of the first colour on this layer, `island_angle_deg` the turn from colour to colour; at a multiple
+    of 180 there is but one."""
     width, _ = equivalent_rectangles_mm(found.polygons)
     narrow = width < spacing_mm
     angle = turn_deg + island_angle_deg * found.colour.astype(np.float64)

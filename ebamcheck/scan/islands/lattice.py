@@ -1,8 +1,9 @@
-"""The cells laid over a layer: hexagons by the paper's odd/even rule (section 4.1), squares and stripes as baselines, as wide as those.
+"""The cells laid over a layer: hexagons by the paper's odd/even rule (section 4.1), squares and stripes as baselines, as wide as
+those.
 
-The paper's rule, worked out: along the short side L1 stand ``n = round(L1 / d) + 1`` hexagons, one more where that is even, so that one centre lies on
-the midpoint of L1; centres are ``sqrt(3) d`` apart. Rows follow each other along L2 at ``1.5 d``, every other one shifted by half a step.
-"""
+The paper's rule, worked out: along the short side L1 stand ``n = round(L1 / d) + 1`` hexagons, one more where that is even, so that
+one centre lies on the midpoint of L1; centres are ``sqrt(3) d`` apart. Rows follow each other along L2 at ``1.5 d``, every other
+one shifted by half a step."""
 
 from __future__ import annotations
 
@@ -86,7 +87,8 @@ def hexagon_lattice(rectangle: Rectangle, side_mm: float) -> Lattice:
 
 
 def square_lattice(rectangle: Rectangle, side_mm: float) -> Lattice:
-    """Lay squares as wide as hexagons of a given side over a rectangle, one centre on the midpoint of L1, as with hexagons; errors likewise."""
+    """Lay squares as wide as hexagons of a given side over a rectangle, one centre on the midpoint of L1, as with hexagons; errors
+    likewise."""
     across = _count_over(rectangle.short_mm, SQRT3 * side_mm)
     return _boxes(rectangle, side_mm, SQUARE, across + 1 - across % 2, SQRT3 * side_mm)
 
@@ -140,8 +142,8 @@ LATTICES: dict[str, Callable[[Rectangle, float], Lattice]] = {
 def planned_side_mm(area_mm2: float, perimeter_mm: float, spacing_mm: float) -> float:
     """Side of the hexagons from the area of a layer and its thickness (paper, introduction, point 2).
 
-    The layer is divided into about :data:`ZONES` islands, none wider than the layer is thick on average (2 A / P); then the width between two sides is
-    rounded to a whole number m of beads within :data:`BEADS_ACROSS`: ``sqrt(3) d = m spacing``.
+    The layer is divided into about :data:`ZONES` islands, none wider than the layer is thick on average (2 A / P); then the width
+    between two sides is rounded to a whole number m of beads within :data:`BEADS_ACROSS`: ``sqrt(3) d = m spacing``.
 
     >>> round(planned_side_mm(30_000.0, 800.0, 4.32), 2)  # 300 x 100 mm, six beads across
     14.96
@@ -166,11 +168,11 @@ ROWS_REPEAT = 3.0
 
 
 def layer_place(points: ArrayLike, side_mm: float, config: Config, layer: int) -> Rectangle:
-    """Rectangle around the points (N, 2), mm, of a section's border over which the cells of a layer are laid, shifted and turned by the settings.
+    """Rectangle around the points (N, 2), mm, of a section's border over which the cells of a layer are laid, shifted and turned by
+    the settings.
 
-    The rule of the lattice counts from the midpoint of L1 and from the start of L2. So a rectangle that is moved, and grown by as much as it moves,
-    shifts the lattice and still holds every point.
-    """
+    The rule of the lattice counts from the midpoint of L1 and from the start of L2. So a rectangle that is moved, and grown by as
+    much as it moves, shifts the lattice and still holds every point."""
     smallest = minimum_rectangle(points, config.scan.rectangle)
     turn = math.radians(layer * config.scan.lattice_angle_deg)
     around = smallest if turn == 0.0 else rectangle_along(points, smallest.angle_rad + turn)
@@ -186,7 +188,8 @@ def shift_shares(layer: int) -> tuple[float, float]:
 
 
 def shifted(rectangle: Rectangle, along_short_mm: float, along_long_mm: float) -> Rectangle:
-    """Move the midpoint of L1 along it, and the start of L2 against it by at least 0; the rectangle grows so that it holds what it held."""
+    """Move the midpoint of L1 along it, and the start of L2 against it by at least 0; the rectangle grows so that it holds what it
+    held."""
     x, y = rectangle.to_world(along_short_mm, -0.5 * along_long_mm).tolist()
     short_mm, long_mm = rectangle.short_mm + 2.0 * abs(along_short_mm), rectangle.long_mm + along_long_mm
     return Rectangle(x, y, rectangle.angle_rad, short_mm, long_mm)
@@ -227,8 +230,8 @@ class Rectangle:
 def minimum_rectangle(points: ArrayLike, method: Literal["paper", "exact"] = "exact") -> Rectangle:
     """Find the rectangle of least area around points (N, 2), mm; raises GeometryError for no point, or one that is not finite.
 
-    ``paper`` tries the rotations 0, pi/10, 2 pi/10, ... (equation 11); ``exact`` every direction of an edge of the hull, where the minimum lies.
-    """
+    ``paper`` tries the rotations 0, pi/10, 2 pi/10, ... (equation 11); ``exact`` every direction of an edge of the hull, where the
+    minimum lies."""
     column = np.asarray(points, np.float64).reshape(-1, 2)
     if not len(column) or not np.isfinite(column).all():
         raise GeometryError(
@@ -249,7 +252,8 @@ def minimum_rectangle(points: ArrayLike, method: Literal["paper", "exact"] = "ex
 
 
 def rectangle_along(points: ArrayLike, angle_rad: float) -> Rectangle:
-    """Rectangle around points (N, 2), mm, at least one, all finite, whose side L1 has a given direction, also where it is the longer one."""
+    """Rectangle around points (N, 2), mm, at least one, all finite, whose side L1 has a given direction, also where it is the
+    longer one."""
     direction = np.array([[math.cos(angle_rad), math.sin(angle_rad)]])
     ux, uy, amin, amax, bmin, bmax = _envelopes(np.asarray(points, np.float64).reshape(-1, 2), direction)[0]
     a, b = 0.5 * (amin + amax), 0.5 * (bmin + bmax)

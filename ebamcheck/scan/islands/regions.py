@@ -1,10 +1,10 @@
 """The regions of one layer: what the contour bead takes, what is left to fill, and where walls are thin.
 
-From the contour inwards, with bead width w, bead spacing s (times w) and contour offset c (half a bead unless set): the centre line of the contour
-bead is the contour inset by c. The fill is the contour inset by c + s/2, since a bead owns half a spacing on either side: a hatch line along the
-contour then lies one spacing from the contour bead, and one that ends there ends inside it, since s/2 <= w/2. A bare wall is narrower than a contour
-bead can go around: one bead along it. A narrow fill lies between two contour beads with no room for a partition: beads along the wall.
-"""
+From the contour inwards, with bead width w, bead spacing s (times w) and contour offset c (half a bead unless set): the centre line
+of the contour bead is the contour inset by c. The fill is the contour inset by c + s/2, since a bead owns half a spacing on either
+side: a hatch line along the contour then lies one spacing from the contour bead, and one that ends there ends inside it, since s/2
+<= w/2. A bare wall is narrower than a contour bead can go around: one bead along it. A narrow fill lies between two contour beads
+with no room for a partition: beads along the wall."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
 """Where islands are entered, how far the gun jumps between them, and when each is scanned.
 
-An island has up to four ends at which it may be entered; the nearest is often the one beside what was laid a minute ago. So the rise at every end is
-worked out, and ends are chosen for all islands at once, by dynamic programming over the order: the least sum of the powers of the rises
-(:func:`high_mean`) plus a price on travel, the least that keeps the travel allowed. Heat changes little by the ends chosen before: a few rounds settle it.
-"""
+An island has up to four ends at which it may be entered; the nearest is often the one beside what was laid a minute ago. So the
+rise at every end is worked out, and ends are chosen for all islands at once, by dynamic programming over the order: the least sum
+of the powers of the rises (:func:`high_mean`) plus a price on travel, the least that keeps the travel allowed. Heat changes little
+by the ends chosen before: a few rounds settle it."""
 
 from __future__ import annotations
 
@@ -31,7 +31,8 @@ TIE = 1e-12  # sums closer than this share are equal: rounding must not decide b
 
 
 class EntryOptions(NamedTuple):
-    """Jumps (I, 4, I) from an island that was entered by one of its options to the nearest option of another, mm, and which that is."""
+    """Jumps (I, 4, I) from an island that was entered by one of its options to the nearest option of another, mm, and which that
+    is."""
 
     jump_mm: Floats
     option: NDArray[np.int8]
@@ -100,9 +101,9 @@ def in_sequence(
 ) -> tuple[Ints, Bools]:
     """Rows (V,) of the lines of islands in scan order, and whether each is driven from its end to its start.
 
-    `start` and `end` (V, 2) are sorted by island, `first` (I + 1,) is the first line of each. The lines of an island are driven in either sequence
-    and direction, as its entry option says; those of a `chained` one (bent lines along a wall) only forwards, or all backwards.
-    """
+    `start` and `end` (V, 2) are sorted by island, `first` (I + 1,) is the first line of each. The lines of an island are driven in
+    either sequence and direction, as its entry option says; those of a `chained` one (bent lines along a wall) only forwards, or
+    all backwards."""
     order = order[np.diff(first)[order] > 0]
     if not len(order):
         return np.zeros(0, np.int64), np.zeros(0, np.bool_)
@@ -134,8 +135,8 @@ def cool_options(
 ) -> Ints:
     """Choose the entry option (I,) of each island of an order.
 
-    Travel, and :func:`high_mean` of the rises at the entries, are no more than by the nearest options, but for travel up to `longest_mm`, which is allowed.
-    """
+    Travel, and :func:`high_mean` of the rises at the entries, are no more than by the nearest options, but for travel up to
+    `longest_mm`, which is allowed."""
     best = options = nearest_options(order, schedule.entry, schedule.leave)
     if len(order) < 2:
         return best
@@ -236,9 +237,9 @@ def options_by_price(
 def entry_temperatures(
     heat: IslandHeat, area_mm2: Floats, order: Ints, start_s: Floats, end_s: Floats
 ) -> tuple[Floats, Floats]:
-    """Simulate an order with times (I,) by island: the mean temperature rise (I,) of each island when the beam enters it, K, and its excess uniformity
-    (I,): the spread of the temperature over the layer when the beam leaves it, without its own heat, over the mean temperature.
-    """
+    """Simulate an order with times (I,) by island: the mean temperature rise (I,) of each island when the beam enters it, K, and
+    its excess uniformity (I,): the spread of the temperature over the layer when the beam leaves it, without its own heat, over the
+    mean temperature."""
     mean, share = heat.modes.mean, area_mm2 / area_mm2.sum()
     entry_k, excess = np.zeros(len(start_s)), np.zeros(len(start_s))
     for island, before, after in _steps(heat, order, start_s, end_s):

@@ -1,12 +1,12 @@
 """Orders in which the islands of a layer are scanned, by name: entry points of the group ``ebamcheck.orders``.
 
-The paper's sentence (section 4.2) takes next the island whose distance "to all processed centroids is the smallest": to the nearest of them
-(``nearest-any``, which ``nearest`` is), to the last one (``nearest-last``), or in sum (``nearest-sum``). All of them contradict the paper's aim
-("increase the molding time interval of adjacent regions"), since the nearest island is a neighbour that is still hot. ``farthest`` does the opposite;
-``raster`` is what a machine does without a strategy, ``stride`` leaves out all but every n-th island of it at first, ``random`` is a seeded shuffle.
-Distance has no memory of time; ``least-heat`` and ``thermal`` ask a heat model which island is coolest when the beam gets there, the latter with a
-price on the way there, and at its coolest end; the others enter at the nearest.
-"""
+The paper's sentence (section 4.2) takes next the island whose distance "to all processed centroids is the smallest": to the nearest
+of them (``nearest-any``, which ``nearest`` is), to the last one (``nearest-last``), or in sum (``nearest-sum``). All of them
+contradict the paper's aim ("increase the molding time interval of adjacent regions"), since the nearest island is a neighbour that
+is still hot. ``farthest`` does the opposite; ``raster`` is what a machine does without a strategy, ``stride`` leaves out all but
+every n-th island of it at first, ``random`` is a seeded shuffle. Distance has no memory of time; ``least-heat`` and ``thermal`` ask
+a heat model which island is coolest when the beam gets there, the latter with a price on the way there, and at its coolest end; the
+others enter at the nearest."""
 
 from __future__ import annotations
 

@@ -1,9 +1,8 @@
 """Orders by heat: greedy plans, of which the coolest is improved by moves of islands that make it cooler.
 
-The score of an island is its mean temperature at the time it would be entered, or that under the beam where it would be entered, whichever is more, plus
-the travel to it and the start of the wire, each at its price in kelvin. No island follows one that it touches while another is left. A low price of travel
-makes cool but long ways, so plans for several prices are made.
-"""
+The score of an island is its mean temperature at the time it would be entered, or that under the beam where it would be entered,
+whichever is more, plus the travel to it and the start of the wire, each at its price in kelvin. No island follows one that it
+touches while another is left. A low price of travel makes cool but long ways, so plans for several prices are made."""
 
 from __future__ import annotations
 
@@ -55,8 +54,8 @@ def thermal_order(
 ) -> Ints:
     """Islands (I,) in scan order: the coolest greedy plan whose travel is not too long, improved by moves.
 
-    `beside` (I, I) tells which islands touch, `width_mm` is the width of one, `longest_mm` the travel that is allowed (else the shortest plan is taken),
-    `start_travel_mm` the travel that counts as much as a start of the wire, and `steps` the most moves.
+    `beside` (I, I) tells which islands touch, `width_mm` is the width of one, `longest_mm` the travel that is allowed (else the
+    shortest plan is taken), `start_travel_mm` the travel that counts as much as a start of the wire, and `steps` the most moves.
     """
     count = len(schedule)
     price_k_mm = float(own_rise(heat, schedule).mean()) / width_mm
@@ -281,7 +280,8 @@ def _coolest(
 
 
 class Layer(NamedTuple):
-    """What orders are tried on: rises by each other, jumps, which islands (I, I) touch, the time of each (I,), the speed of jumps."""
+    """What orders are tried on: rises by each other, jumps, which islands (I, I) touch, the time of each (I,), the speed of
+    jumps."""
 
     table: Influence
     options: EntryOptions
@@ -323,8 +323,8 @@ def improved(
 ) -> Ints:
     """Best order met by moves between places (S, 2): exchanges, shifts and turned stretches by turns.
 
-    A move is kept if it worsens the cost by less than its `leniency` (S,), a share of the first cost (annealing: Kirkpatrick, Gelatt & Vecchi 1983).
-    """
+    A move is kept if it worsens the cost by less than its `leniency` (S,), a share of the first cost (annealing: Kirkpatrick,
+    Gelatt & Vecchi 1983)."""
     count = len(order)
     kept, tried = order.copy(), order.copy()
     by_heat = np.arange(count)
@@ -415,8 +415,8 @@ def powers_from(
 ) -> float:
     """Sum of the twelfth powers of the entry temperatures, those from a place on worked out; any sum beyond `most` if it is more.
 
-    The rise of an island when the beam enters it is its mean, or that of its entry if it is more. The places that were moved come first, then the hottest.
-    """
+    The rise of an island when the beam enters it is its mean, or that of its entry if it is more. The places that were moved come
+    first, then the hottest."""
     # Taken out of their tuples once for all places: each column that is taken out is counted as one more in use.
     fresh, nodes, start, time, options = (
         layer.table.fresh, layer.table.nodes_per_root_s, log.start_s, layer.time_s, log.option,

@@ -265,7 +265,8 @@ class ScanPlan(LayerColumns[PlannedLayer]):
 
     @classmethod
     def from_parquet(cls, path: str | Path) -> ScanPlan:
-        """Read a plan; raises InputError for a file that is missing, damaged, no plan, one of another version, or does not match."""
+        """Read a plan; raises InputError for a file that is missing, damaged, no plan, one of another version, or does not
+        match."""
         path = Path(path)
         table, settings = _table(path, None)
         layers = _layers(table)

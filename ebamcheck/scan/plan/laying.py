@@ -141,8 +141,8 @@ def bead_sequence(
 ) -> tuple[Beads, float]:
     """Contours, and islands in an order, in the sequence in which the program drives them; and the jumps between islands, mm.
 
-    `heat` is the model of the islands, in whose modes the beads are read; None where there are none. Without an `order` the contours alone are taken.
-    """
+    `heat` is the model of the islands, in whose modes the beads are read; None where there are none. Without an `order` the
+    contours alone are taken."""
     speed, rapid = config.process.travel_speed_mm_s, config.machine.rapid_mm_s
     count, ring_mm, rings = contours.count, contours.length_mm, len(contours.rings)
     island, start, end, bead_mm = _island_path(laid, order, options, config)

@@ -188,10 +188,10 @@ def plan_stack(
 ) -> ScanPlan:
     """Plan a stack of layers, each as :func:`plan_scan` does, on all threads; open paths bound no region and are not filled.
 
-    An order that asks the heat model begins each layer with the heat that those under it have left, unless `scan.carry_heat` is off. Whatever the
-    order, each layer is simulated for its power and waits, unless `process.interpass` is off. `power_of` gives the power along beads by their wire
-    (:func:`ebamcheck.pipeline.stages.power_by_wire`); without it each has that of its layer. `contours` are the regions of the contour beads, if known.
-    """
+    An order that asks the heat model begins each layer with the heat that those under it have left, unless `scan.carry_heat` is
+    off. Whatever the order, each layer is simulated for its power and waits, unless `process.interpass` is off. `power_of` gives
+    the power along beads by their wire (:func:`ebamcheck.pipeline.stages.power_by_wire`); without it each has that of its layer.
+    `contours` are the regions of the contour beads, if known."""
     config = config or Config()
     name, number = order or config.scan.order, config.scan.seed if seed is None else seed
     # Layers are cut at half their height: the part stands on the plate half a layer under the lowest cut.
@@ -213,9 +213,8 @@ EARLY = 0.1
 
 
 def scheduled(plan: ScanPlan, config: Config) -> pd.DataFrame:
-    """Lines of a plan with their `length_mm`, turn and jump before each with the beam on and off, `turn_mm` and `jump_mm`, whether each begins a
-    `new_layer`, and when it is driven, `begin_s` and `end_s`, every layer from time 0.
-    """
+    """Lines of a plan with their `length_mm`, turn and jump before each with the beam on and off, `turn_mm` and `jump_mm`, whether
+    each begins a `new_layer`, and when it is driven, `begin_s` and `end_s`, every layer from time 0."""
     table = plan.vectors
     island = table["island"].to_numpy()
     start, end = table[["x0", "y0"]].to_numpy(), table[["x1", "y1"]].to_numpy()
@@ -234,11 +233,12 @@ def scheduled(plan: ScanPlan, config: Config) -> pd.DataFrame:
 
 
 def simulate_order(plan: ScanPlan, config: Config) -> pd.DataFrame:
-    """Simulate a plan: lines and turns at travel speed, jumps at rapid speed, every layer from time 0, without contour beads and pauses.
+    """Simulate a plan: lines and turns at travel speed, jumps at rapid speed, every layer from time 0, without contour beads and
+    pauses.
 
-    One row an island, in scan order: `island`, `layer`, `rank` in its layer, `start_s` (beam on its first line), `end_s`, `travel_mm` (jump before it),
-    `inner_travel_mm` (jumps between its lines), `length_mm` of them, `turn_mm` of the turns between, `starts` of the wire; NaN times without lines.
-    """
+    One row an island, in scan order: `island`, `layer`, `rank` in its layer, `start_s` (beam on its first line), `end_s`,
+    `travel_mm` (jump before it), `inner_travel_mm` (jumps between its lines), `length_mm` of them, `turn_mm` of the turns between,
+    `starts` of the wire; NaN times without lines."""
     driven = {str(name): values.to_numpy() for name, values in scheduled(plan, config).items()}
     island, jump = driven["island"], driven["jump_mm"]
     new_island = np.diff(island, prepend=-1) != 0

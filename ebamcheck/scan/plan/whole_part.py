@@ -1,4 +1,5 @@
-"""Layers put in order from below, each beginning with what those under it have left: its contours heat it first, then come its islands."""
+"""Layers put in order from below, each beginning with what those under it have left: its contours heat it first, then come its
+islands."""
 
 from __future__ import annotations
 
@@ -57,7 +58,8 @@ class LayerHeat:
 
 @dataclass(frozen=True, eq=False)
 class ReadyIslands:
-    """Islands of a layer that is laid, their heat model as it begins on a cold part, None where there are none, and its contours."""
+    """Islands of a layer that is laid, their heat model as it begins on a cold part, None where there are none, and its
+    contours."""
 
     laid: LaidLayer
     islands: LayerIslands
@@ -137,9 +139,9 @@ def ordered_layers(
 ) -> Iterator[OrderedLayer]:
     """Put layers in order, from below; each is yielded as soon as it is done.
 
-    `carry` lets each order know the heat that is left below, else it is that of a cold part; `simulated` simulates each layer for its waits and power,
-    which is always done where heat is carried; `power_of` gives the power along beads, else each has that of its layer.
-    """
+    `carry` lets each order know the heat that is left below, else it is that of a cold part; `simulated` simulates each layer for
+    its waits and power, which is always done where heat is carried; `power_of` gives the power along beads, else each has that of
+    its layer."""
     if not (carry or simulated):
         yield from _prepared(stack, lambda k: _cold(stack, k, config, order, seed))
         return
@@ -162,11 +164,11 @@ def ordered_on(
     lowest: bool,
     power_of: PowerOf | None = None,
 ) -> tuple[OrderedLayer, PartHeat, SimulatedLayer | None]:
-    """Put one layer in order on the heat of the `part` that those under it have left, and simulate it; `last` is how the layer under it was simulated.
+    """Put one layer in order on the heat of the `part` that those under it have left, and simulate it; `last` is how the layer
+    under it was simulated.
 
-    `carry` lets the order know the heat; `lowest`: nothing lies under it, so that there is nothing to wait for; `power_of` as for :func:`ordered_layers`.
-    Returns the layer, and part and simulation when it is done: those before where it has no metal.
-    """
+    `carry` lets the order know the heat; `lowest`: nothing lies under it, so that there is nothing to wait for; `power_of` as for
+    :func:`ordered_layers`. Returns the layer, and part and simulation when it is done: those before where it has no metal."""
     laid, islands, cold = ready.laid, ready.islands, ready.cold
     with one_blas_thread():
         part = part.under(None if cold is None else cold.model)

@@ -1,7 +1,8 @@
-"""What a played control holds, and its program: the text that waits is run block by block, layers grow, heights come, named faults happen.
+"""What a played control holds, and its program: the text that waits is run block by block, layers grow, heights come, named faults
+happen.
 
-Layers take the time of their text over a speed; waits are shortened likewise, to no less than the time in which a server can answer.
-"""
+Layers take the time of their text over a speed; waits are shortened likewise, to no less than the time in which a server can
+answer."""
 
 from __future__ import annotations
 
@@ -92,7 +93,8 @@ class Panel:
 
 @dataclass(frozen=True)
 class Growth:
-    """How high a layer comes out: its planned height times ``1 + drift + noise n``, with n of the normal distribution, which seed and layer give."""
+    """How high a layer comes out: its planned height times ``1 + drift + noise n``, with n of the normal distribution, which seed
+    and layer give."""
 
     drift: float = 0.0
     noise: float = 0.0

@@ -53,7 +53,8 @@ class Reproduction:
 
 
 def reproduce(effort: Effort, bunny: Path | None, units: str, note: Note) -> Reproduction:
-    """Make every figure, beginning with the cheap ones that may fail on a given mesh; figures 3 to 8 on the mesh `bunny`, if any."""
+    """Make every figure, beginning with the cheap ones that may fail on a given mesh; figures 3 to 8 on the mesh `bunny`, if
+    any."""
     subject = layer_figures.find_subject(bunny, units)
     note(f"figures 3 to 8: {subject.part.name}, layer {subject.layer + 1}")
     found = {

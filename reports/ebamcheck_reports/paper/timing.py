@@ -46,7 +46,8 @@ def methods() -> list[Method]:
 
 
 def measure(effort: Effort, note: Note) -> dict[str, Any]:
-    """Tessellate the stand-in (the same layers and about the same file sizes) at each tolerance, and time every available backend."""
+    """Tessellate the stand-in (the same layers and about the same file sizes) at each tolerance, and time every available
+    backend."""
     model = registry.models(["ladder"])["ladder"]
     tried = methods()
     sizes = []

@@ -75,7 +75,8 @@ def certificate(run: RunData) -> Markup:
 
 
 def _findings(found: Mapping[str, Any]) -> list[Markup]:
-    """What is proved, and the findings; none in a certificate of an earlier version. What is left to do stands where it is signed."""
+    """What is proved, and the findings; none in a certificate of an earlier version. What is left to do stands where it is
+    signed."""
     said = [
         paragraph(element("b", f"{head}: "), "; ".join(found[name]), ".")
         for head, name in (("Proved", "proved"), ("Not proved", "not_proved"))
