@@ -233,11 +233,25 @@ def ordered(findings: Iterable[Check]) -> list[Check]:
     return sorted(each, key=lambda f: (SEVERITIES.index(f.severity), f.code))
 
 
-CHECK_KEYS = ("name", "passed", "value", "limit", "unit", "where", "text", "x_mm", "y_mm", "place", "remedy")
+CHECK_KEYS = (
+    "name",
+    "passed",
+    "value",
+    "limit",
+    "unit",
+    "where",
+    "text",
+    "layer",
+    "x_mm",
+    "y_mm",
+    "place",
+    "remedy",
+)
 
 
-def _named(check: Check, *names: str) -> dict[str, Any]:
-    return {name: getattr(check, name) for name in names}
+def _named(check: Check, *names: str, **other: Any) -> dict[str, Any]:
+    """Values of a check by their names, in this order; some of them in another form."""
+    return {name: other.get(name, getattr(check, name)) for name in names}
 
 
 def check_record(check: Check) -> dict[str, Any]:
@@ -247,7 +261,7 @@ def check_record(check: Check) -> dict[str, Any]:
     >>> check_record(steep)["layer"], check_of_record(check_record(steep)) == steep
     (3, True)
     """
-    return _named(check, *CHECK_KEYS) | {"layer": None if check.layer is None else check.layer + 1}
+    return _named(check, *CHECK_KEYS, layer=None if check.layer is None else check.layer + 1)
 
 
 def check_of_record(record: Mapping[str, Any]) -> Check:
@@ -258,19 +272,19 @@ def check_of_record(record: Mapping[str, Any]) -> Check:
 
 def gate_record(gate: Check) -> dict[str, Any]:
     """Gate."""
-    return _named(gate, "name", "passed", "limit", "unit", "text") | {"figure": gate.value}
+    return _named(gate, "name", "passed", "figure", "limit", "unit", "text", figure=gate.value)
 
 
 def finding_records(findings: Iterable[Check]) -> list[dict[str, Any]]:
     """Findings in order."""
-    names = ("severity", "code", "text", "place", "figure", "unit", "remedy")
-    return [_named(finding, *names) | {"limit": known(finding.limit)} for finding in ordered(findings)]
+    names = ("severity", "code", "text", "place", "figure", "limit", "unit", "remedy")
+    return [_named(finding, *names, limit=known(finding.limit)) for finding in ordered(findings)]
 
 
 def preflight_record(check: Check) -> dict[str, Any]:
     """Check of the preflight, as ``ebamcheck preflight --json`` tells it."""
-    names = ("name", "level", "text", "figure", "unit", "remedy", "stops")
-    return _named(check, *names) | {"limit": known(check.limit)}
+    names = ("name", "level", "text", "figure", "limit", "unit", "remedy", "stops")
+    return _named(check, *names, limit=known(check.limit))
 
 
 def finding_of_record(record: Mapping[str, Any]) -> Check:

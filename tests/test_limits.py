@@ -66,7 +66,7 @@ NO_LIMITS = {
         consumables.KG_MM3 consumables.HOUR_S consumables.TOLD_LAYERS
         text_checks.TOLD text_checks.LETTERS text_checks.MEGABYTE heat_again.RADIATION_W_MM2K4
         metal.NO_ZONES bead_checks.FINE bead_checks.SKEW bead_checks.UNEVEN bead_checks.BACK
-        matching.APART_MM form.CERTIFICATE_FORMAT gates.TOLD value_checks.TOLD
+        matching.APART_MM form.CERTIFICATE_FORMAT value_checks.TOLD
         findings.LACKING part_file.UNIT_MM part_file.HEAD part_file.FACET part_file.FACET_TEXT reports.TIME_S
         reports.MEMORY_MB reports.LARGEST_REPORT_BYTES reports.MOST_FILES form.FORMAT_VERSION form.PRINTED
         run_folder.AT_FDCWD run_folder.RENAME_EXCHANGE signing.SIGNATURE_FORMAT signing.FINGERPRINT_DIGITS tables_again.SHOWN
@@ -74,7 +74,7 @@ NO_LIMITS = {
     "which of several things is compared with which: each way of it is judged by a limit of its own": """
         bead_checks.PARALLEL_RAD bead_checks.TO_AND_FRO bead_checks.WIDEST_SPACINGS bead_checks.GENTLE bead_checks.MANY
         subject.CONTOUR_SHARE preheating.ROUND_SHARE preheating.SLIVER_MM preheating.ALONG_MM
-        checks.SAME_AREA gates_again.SAME_POINT_MM slabs.LEAST_REACH table.LEAST_MM2
+        checks.SAME_AREA slabs.LEAST_REACH table.LEAST_MM2
         table.SAME_MM interpass_checks.PERCENT value_checks.WIDER""",
     "what keeps a quotient from a divisor of nothing": "metal.LEAST_OWN",
     "what a warning or a text tells, and no check": """
