@@ -386,7 +386,7 @@ def test_slabs_come_by_themselves_where_memory_asks_for_them(tmp_path):
 
 @pytest.mark.slow
 def test_a_mesh_that_is_written_in_bands_is_the_even_mesh(tmp_path, monkeypatch):
-    monkeypatch.setattr("benchmarks.large_mesh.FACETS_A_BAND", 1 << 10)
+    monkeypatch.setattr("benchmarks.even_mesh.FACETS_A_BAND", 1 << 10)
     for facets in (2000, 20_000):
         count = write_even_mesh(LADDER, facets, tmp_path / "a.stl")
         found, expected = load(tmp_path / "a.stl"), even_mesh.even_mesh(LADDER, facets)
