@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ebamcheck.layers.stack import canonical, concatenate, from_polygons, from_rings
+from ebamcheck.layers.stack import canonical, concatenate, from_polygons, from_rings, stacked
+from ebamcheck.slicers.slicing import slice_part
+from ebamcheck_models import MODELS
 
 SQUARE = np.array([(0, 0), (4, 0), (4, 4), (0, 4)], float)
 HOLE = np.array([(1, 1), (1, 2), (2, 2), (2, 1)], float)
@@ -120,3 +122,12 @@ def test_columns_follow_their_points_into_canonical_form(threads, monkeypatch):
     assert np.array_equal(points[layers.edge[:, 0]], layers.points)
     assert np.array_equal(layers.edge[:, 1], -layers.edge[:, 0])
     assert np.array_equal(layers.edge_t, layers.edge[:, 0] * 0.5)
+
+
+def test_blocks_that_are_stacked_as_they_come_are_the_whole():
+    whole = slice_part(MODELS["torus"].tessellate(0.5), [-3.0, -1.0, 1.0, 3.0], "planecut")
+    blocks = (whole.block(k, k + 1) for k in range(len(whole)))
+    found = stacked(blocks)
+    assert found.edge is None
+    for name in ("heights", "points", "ring_starts", "layer_starts", "closed", "dropped"):
+        assert np.array_equal(getattr(found, name), getattr(whole, name)), name

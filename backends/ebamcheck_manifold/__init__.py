@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ebamcheck.backend import BackendSettings, CoplanarRule, Probe, Progress, installed, labels_of
 from ebamcheck.errors import BackendFailed
 from ebamcheck.kernels import Floats
-from ebamcheck.layers.stack import Layers, canonical, concatenate
+from ebamcheck.layers.stack import Layers, canonical, stacked
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.topology import direction_balance, edge_groups, split_corners, twins
 
@@ -92,7 +92,7 @@ class PreparedManifold:
         if self._manifold is None:
             raise BackendFailed(f"manifold: part {self.part.name!r} was released: prepare it again")
         heights = np.ascontiguousarray(heights, dtype=np.float64)
-        return concatenate(list(self._blocks(self._manifold, heights, progress)))
+        return stacked(self._blocks(self._manifold, heights, progress))
 
     def _blocks(self, manifold: Manifold, heights: Floats, progress: Progress | None) -> Iterator[Layers]:
         """Layers of a few heights at a time."""

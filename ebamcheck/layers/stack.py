@@ -487,6 +487,22 @@ def concatenate(blocks: Sequence[Layers]) -> Layers:
     )
 
 
+def stacked(blocks: Iterable[Layers]) -> Layers:
+    """Join consecutive blocks of layers, without their cut edges, as they come; each is released once its points are copied.
+
+    The column of points grows in place: the points are never held twice, and no memory is touched for the first time twice.
+    """
+    points = np.empty((0, 2))
+    kept: list[Layers] = []
+    for block in blocks:
+        size = len(points)
+        # No view of it is taken before it is whole.
+        points.resize((size + len(block.points), 2), refcheck=False)
+        points[size:] = block.points
+        kept.append(replace(block, points=np.empty((0, 2)), edge=None, edge_t=None))
+    return replace(concatenate(kept), points=points)
+
+
 def _expand(starts: Ints, wanted: Ints) -> tuple[Ints, Ints]:
     """Indices of the members of the `wanted` groups of a ragged column, and the starts of the new groups."""
     sizes = np.diff(starts)[wanted]
