@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ebamcheck.curves.splitting import ARC, LINE, SPLINE
-from ebamcheck.kernels import Floats, Ints
+from ebamcheck.kernels import Bools, Floats, Ints, kernel
 
 QUADRATURE_NODES, QUADRATURE_WEIGHTS = np.polynomial.legendre.leggauss(8)
 """Gauss-Legendre rule for arc lengths; exact to rounding on the spans of a smooth fit."""
@@ -212,14 +212,21 @@ def _counts(steps: Floats) -> Ints:
     return np.maximum(1, np.ceil(np.minimum(steps, 2.0**31))).astype(np.int64)
 
 
-def sample_spans(B: Floats, kind: NDArray[np.uint8], chords: Ints) -> Floats:
-    """The points at the starts of the chords of each span, (sum of chords, 2)."""
-    span = np.repeat(np.arange(len(B)), chords)
-    starts = np.concatenate([[0], np.cumsum(chords)[:-1]])
-    share = (np.arange(span.size) - starts[span]) / chords[span]
-    found = B[span, 0]
-    inner = np.flatnonzero(share > 0.0)
-    spans = B[span[inner]]
-    line = spans[:, 0] + (spans[:, 3] - spans[:, 0]) * share[inner, None]
-    found[inner] = np.where((kind[span[inner]] == LINE)[:, None], line, bezier_at(spans, share[inner]))
-    return np.asarray(found)
+@kernel
+def sample_spans(B: Floats, lines: Bools, chords: Ints) -> Floats:
+    """The points at the starts of the chords of each span, (sum of chords, 2); `lines` tells spans that are straight."""
+    count = 0
+    for n in range(len(B)):
+        count += chords[n]
+    result = np.empty((count, 2))
+    row = 0
+    for n in range(len(B)):
+        for k in range(chords[n]):
+            t = k / chords[n]
+            s = 1.0 - t
+            for axis in range(2):
+                a, b, c, d = B[n, 0, axis], B[n, 1, axis], B[n, 2, axis], B[n, 3, axis]
+                curved = s * s * s * a + 3.0 * s * s * t * b + 3.0 * s * t * t * c + t * t * t * d
+                result[row, axis] = a if k == 0 else a + (d - a) * t if lines[n] else curved
+            row += 1
+    return result

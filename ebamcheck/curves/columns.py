@@ -454,7 +454,7 @@ def sampled_along(spans: BezierSpans, closed: Bools, step_mm: float, tolerance_m
     points = np.empty((int(places[-1]), 2))
     starts = np.ones(len(points), np.bool_)
     starts[places[ends + 1] - 1] = False
-    points[starts] = bezier.sample_spans(spans.points, spans.kind, chords)
+    points[starts] = bezier.sample_spans(spans.points, spans.kind == LINE, chords)
     points[~starts] = spans.points[ends, 3]
     per_ring = np.bincount(spans.ring, sizes, minlength=closed.size)
     return SampledRings(points, np.concatenate([[0], np.cumsum(per_ring)]).astype(np.int64))
