@@ -241,14 +241,7 @@ def links(rows: Knots, columns: Knots, up: Bools, points: Floats) -> tuple[Ints,
 
 @kernel
 def _chain(
-    grid: Grid,
-    after: Ints,
-    cells: Ints,
-    points: Floats,
-    facet: Facets,
-    mesh: Mesh,
-    z: float,
-    corners: bool,
+    grid: Grid, after: Ints, cells: Ints, points: Floats, facet: Facets, mesh: Mesh, z: float, corners: bool
 ) -> tuple[Floats, Ints]:
     """Rings along the links; of knots in a row on one facet the first and the last.
 

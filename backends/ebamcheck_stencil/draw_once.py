@@ -16,13 +16,7 @@ from ebamcheck.errors import BackendFailed
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
 from ebamcheck.threads import block_edges, run_blocks, run_in_order
-from ebamcheck_stencil.crossings import (
-    Crossings,
-    crossings_of_fragments,
-    empty_bitmap,
-    flips_by_layer,
-    join,
-)
+from ebamcheck_stencil.crossings import Crossings, crossings_of_fragments, empty_bitmap, flips_by_layer, join
 from ebamcheck_stencil.field_of_view import SUBPIXELS, WORD_BITS, FieldOfView, Window, windows
 from ebamcheck_stencil.marching_squares import Rings, contours_of_layers, layers_of
 

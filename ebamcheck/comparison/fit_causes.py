@@ -27,14 +27,7 @@ from ebamcheck.comparison.sheets import (
     ring_segments,
     share_explained,
 )
-from ebamcheck.comparison.whole_causes import (
-    MIRROR,
-    QUANTISATION,
-    ROTATION,
-    UNIT,
-    WINDING_RULE,
-    Cause,
-)
+from ebamcheck.comparison.whole_causes import MIRROR, QUANTISATION, ROTATION, UNIT, WINDING_RULE, Cause
 from ebamcheck.kernels import Bools, Floats, Ints
 
 MOST_STEPS = 30  # most steps of the fit

@@ -89,9 +89,7 @@ def layer_section(polygons: BaseGeometry | Iterable[BaseGeometry]) -> BaseGeomet
     return parts[0] if parts else shapely.Polygon()
 
 
-def equivalent_rectangles_mm(
-    polygons: Sequence[BaseGeometry] | NDArray[np.object_],
-) -> tuple[Floats, Floats]:
+def equivalent_rectangles_mm(polygons: Sequence[BaseGeometry] | NDArray[np.object_]) -> tuple[Floats, Floats]:
     """Width and length (I,) of the rectangle with the same area and the same border length as a polygon.
 
     A wall that is bent, or closed to a ring, has the width and length of the straight one; anything
