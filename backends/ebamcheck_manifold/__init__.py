@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ebamcheck.backend import BackendSettings, CoplanarRule, Probe, Progress, installed, labels_of
 from ebamcheck.errors import BackendFailed
-from ebamcheck.kernels import Floats
+from ebamcheck.kernels import Bools, Floats, ShortInts
 from ebamcheck.layers.stack import Layers, canonical, stacked
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.topology import direction_balance, edge_groups, split_corners, twins
@@ -87,7 +87,7 @@ class PreparedManifold:
     def __exit__(self, *_: object) -> None:
         self._manifold = None
 
-    def slice(self, heights: NDArray[np.float64], progress: Progress | None = None) -> Layers:
+    def slice(self, heights: Floats, progress: Progress | None = None) -> Layers:
         """Cut at strictly increasing heights (L,), mm, on one thread: manifold3d holds the interpreter lock."""
         if self._manifold is None:
             raise BackendFailed(f"manifold: part {self.part.name!r} was released: prepare it again")
@@ -141,9 +141,7 @@ def build(part: Part, placement: Placement) -> Manifold:
     return manifold
 
 
-def _with_bodies_apart(
-    vertices: NDArray[np.float64], faces: NDArray[np.int32]
-) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+def _with_bodies_apart(vertices: Floats, faces: ShortInts) -> tuple[Floats, ShortInts]:
     """Give bodies that touch along an edge separate vertices, or manifold3d pairs the four facets there in its own way."""
     groups = edge_groups(faces, len(vertices))
     sizes = np.diff(groups.starts)
@@ -155,7 +153,7 @@ def _with_bodies_apart(
     return vertices[source], corners
 
 
-def _facets_with_three_vertices(faces: NDArray[np.int32]) -> NDArray[np.int32]:
+def _facets_with_three_vertices(faces: ShortInts) -> ShortInts:
     """Leave out facets that repeat a vertex: they have no section, and manifold3d would refuse them."""
     a, b, c = faces.T
     kept = (a != b) & (b != c) & (c != a)
@@ -175,7 +173,7 @@ Keys = NDArray[np.uint64]
 
 
 def doubtful_regions(
-    vertices_mm: Floats, faces: NDArray[np.int32], placement: Placement, manifold: Manifold
+    vertices_mm: Floats, faces: ShortInts, placement: Placement, manifold: Manifold
 ) -> list[dict[str, Any]]:
     """Boxes in the part around the facets that manifold3d changed, as :meth:`ebamcheck.backend.Prepared.slice` declares them."""
     mesh = manifold.to_mesh64()
@@ -219,7 +217,7 @@ def _facet_keys(vertex_keys: Keys, faces: NDArray[Any]) -> Keys:
     return keys
 
 
-def _boxes(triangles: Floats, old: NDArray[np.bool_]) -> list[dict[str, Any]]:
+def _boxes(triangles: Floats, old: Bools) -> list[dict[str, Any]]:
     """Boxes around facets that share corners, from low to high; `old` marks those of the mesh given."""
     # Few parts get here, only those that the library changed; the import takes longer than most of them.
     from scipy.sparse import coo_array

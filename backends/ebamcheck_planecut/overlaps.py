@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ebamcheck.geometry.rings import signed_area
-from ebamcheck.kernels import Bools, Floats, Ints, kernel
+from ebamcheck.kernels import Bools, Floats, Ints, ShortInts, kernel
 
 CLEAN, NESTED_WRONG, TOUCHING = 0, 1, 2
 
@@ -28,10 +28,10 @@ class OverlapSearch(NamedTuple):
 
     boxes: Floats  # (2 M, 4) xmin, ymin, xmax, ymax of each node; leaf l is node M + l
     ways: NDArray[np.uint8]  # (2 M,) directions of the segments of each node
-    ring: NDArray[np.int32]  # (2 M,) ring of each node, or `SEVERAL_RINGS`
+    ring: ShortInts  # (2 M,) ring of each node, or `SEVERAL_RINGS`
     first: Ints  # (M + 1,) first segment of each leaf, by the row of its first point; the leaf ends where the next begins
     # Pairs of nodes waiting to be tested, and whether one follows the other along its ring
-    stack: NDArray[np.int32]
+    stack: ShortInts
     # Segments that come this near to each other meet: what rounding may have moved them apart
     reach_mm: float
     outward: Ints  # (R,) +1 for an outer ring, -1 for a hole

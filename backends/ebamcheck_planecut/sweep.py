@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ebamcheck.kernels import Floats, Ints, kernel
+from ebamcheck.kernels import Bools, Floats, Ints, kernel
 from ebamcheck.layers.canonical_form import DROPPED, next_distinct, ring_form
 from ebamcheck_planecut.overlaps import classify_layer, overlap_search
 from ebamcheck_planecut.sorted_mesh import Index, SortedMesh, facets_across, raise_plane
@@ -29,7 +29,7 @@ class Block(NamedTuple):
 
     ring_starts: Ints  # (R + 1,) first row of each ring in the shared columns
     layer_starts: Ints  # (L + 1,) first ring of each layer
-    closed: NDArray[np.bool_]  # (R,) false for an open path
+    closed: Bools  # (R,) false for an open path
     dropped: Ints  # (L,) number of rings without area that were left out
     kinds: NDArray[np.int8]  # (L,) class of each layer by `classify_layer`; all clean if not requested
 
@@ -46,7 +46,7 @@ class Tracks(NamedTuple):
     edge: Index  # (N, 2) the part's numbers of the lower and upper vertex of the edge that is cut
     edge_t: Floats  # (N,) parameter on that edge, 0 at the lower vertex, 1 at the upper
     starts: Ints  # (N + 1,) first row of each ring
-    closed: NDArray[np.bool_]  # (N,) false for an open path
+    closed: Bools  # (N,) false for an open path
 
 
 @kernel
@@ -99,13 +99,7 @@ def cut_block(
 
 @kernel
 def _write_layer(
-    track: Tracks,
-    traced: int,
-    forms: Ints,
-    order: Ints,
-    columns: Columns,
-    ring_starts: Ints,
-    closed: NDArray[np.bool_],
+    track: Tracks, traced: int, forms: Ints, order: Ints, columns: Columns, ring_starts: Ints, closed: Bools
 ) -> int:
     """Write the traced rings of one layer in canonical form from row ``ring_starts[0]`` on; returns their number."""
     points = track.points
@@ -186,17 +180,9 @@ def trace_layer(
 # Ten parameters: a tuple of them would be made for every path.
 @kernel
 def _walk(
-    mesh: SortedMesh,
-    h: float,
-    under: int,
-    f: int,
-    forwards: bool,
-    is_ring: bool,
-    seen: Index,
-    mark: int,
-    track: Tracks,
-    first: int,
-) -> int:
+    mesh: SortedMesh, h: float, under: int, f: int, forwards: bool, is_ring: bool, seen: Index, mark: int,
+    track: Tracks, first: int,
+) -> int:  # fmt: skip
     """Follow the section from facet `f`, passed from entry to exit if `forwards`, until it ends or closes; returns the row after
     it."""
     filled = first

@@ -109,13 +109,9 @@ class _Drawing:
     """Program and buffers of the draw; they are released with their context."""
 
     def __init__(
-        self,
-        context: moderngl.Context,
-        lattice: NDArray[np.int32],
-        faces: NDArray[np.int32],
-        view: FieldOfView,
-        capacity: int,
-    ) -> None:
+        self, context: moderngl.Context, lattice: NDArray[np.int32], faces: NDArray[np.int32],
+        view: FieldOfView, capacity: int,
+    ) -> None:  # fmt: skip
         self._context = context
         self._view = view
         self._capacity = capacity

@@ -7,12 +7,11 @@ from importlib.metadata import PackageNotFoundError, version
 from typing import Any, ClassVar, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ebamcheck.backend import BackendSettings, CoplanarRule, Probe, Progress, labels_of
 from ebamcheck.errors import BackendFailed
 from ebamcheck.geometry.rings import EPSILON
-from ebamcheck.kernels import Floats
+from ebamcheck.kernels import Bools, Floats
 from ebamcheck.layers.even_odd import INSIDE_RULE, directed_by_nesting
 from ebamcheck.layers.stack import Layers, canonical
 from ebamcheck.mesh.part import Part
@@ -90,7 +89,7 @@ class PreparedSections:
     def __exit__(self, *_: object) -> None:
         self._mesh = None
 
-    def slice(self, heights: NDArray[np.float64], progress: Progress | None = None) -> Layers:
+    def slice(self, heights: Floats, progress: Progress | None = None) -> Layers:
         """Cut at strictly increasing heights (L,), mm; one thread."""
         if self._mesh is None:
             raise BackendFailed(f"trimesh: part {self.part.name!r} was released: prepare it again")
@@ -120,7 +119,7 @@ class PreparedSections:
         _refuse_touching(raw, bound_mm)
         return directed_by_nesting(raw, bound_mm, TrimeshSections.name)
 
-    def _paths(self, heights: Floats, within: NDArray[np.bool_]) -> list[list[Floats]]:
+    def _paths(self, heights: Floats, within: Bools) -> list[list[Floats]]:
         """Paths of each layer, mm; a closed one repeats its first point at the end."""
         found: list[list[Floats]] = [[] for _ in range(heights.size)]
         if not within.any():

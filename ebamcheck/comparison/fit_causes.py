@@ -1,8 +1,8 @@
 """Causes that move, map or round whole contours: each predicts the contours of the slicer that differs.
 
-A fit takes it that these are the other slicer's contours, cut at another height, scaled and turned about the middle of the
-part, translated, and then offset outward. The distances that are left between the two are minimised by least squares with a
-soft L1 loss, so that their sum counts and not the few largest.
+A fit predicts the other slicer's contours, cut at another height, scaled and turned about the middle of the part, translated, and
+then offset outward. Least squares with a soft L1 loss minimise the remaining distances, so that their sum counts and not the few
+largest.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from functools import cache
 
 import numpy as np
 
-from ebamcheck.comparison import sweep
-from ebamcheck.comparison.outline import windings
+from ebamcheck.comparison import whole_causes as systematic
+from ebamcheck.comparison.outline import outline, windings
 from ebamcheck.comparison.place_causes import MeshFlaws
 from ebamcheck.comparison.sheets import (
     Sheet,
@@ -27,14 +27,13 @@ from ebamcheck.comparison.sheets import (
     ring_segments,
     share_explained,
 )
-from ebamcheck.comparison.whole_causes import MIRROR, QUANTISATION, ROTATION, UNIT, WINDING_RULE, Cause
+from ebamcheck.comparison.sweep import overlap
+from ebamcheck.comparison.whole_causes import Cause
 from ebamcheck.kernels import Bools, Floats, Ints
 
 MOST_STEPS = 30  # most steps of the fit
-# Distance up to which its square counts, over the median at the start: beyond it distances count as they are
-SOFT = 0.1
-# Largest movement of a fit, over the size of the part; beyond it the fit is lost, as contours moved so far hardly overlap
-FARTHEST = 0.5
+SOFT = 0.1  # distance up to which its square counts, over the median at the start: beyond it distances count as they are
+FARTHEST = 0.5  # largest movement of a fit, over the size of the part: contours moved farther hardly overlap, and the fit is lost
 NESTED = 0.01  # least gain in the share explained for which a fit with more parameters is preferred
 PROMISING = 0.3  # share that a single cause must explain before two together are tried
 # Parameters: offset mm, translation mm, logarithm of the scale, angle rad, height mm
@@ -78,35 +77,30 @@ class FieldFit:
             return []
         single = sorted((self.fit((name,)) for name in GROUPS), key=lambda f: -f.share)
         # Scale and rotation include a translation: if that alone explains as much, it is the one to go on from.
-        first = min(
-            (f for f in single if f.share >= single[0].share - NESTED), key=lambda f: len(GROUPS[f.names[0]])
-        )
-        found = list(single)
+        near = [f for f in single if f.share >= single[0].share - NESTED]
+        first = min(near, key=lambda f: len(GROUPS[f.names[0]]))
+        fits = list(single)
         if PROMISING <= first.share < enough:
             bases = [first, *(f for f in single if f.names == ("translation",) and f is not first)]
-            found += [
+            fits += [
                 self.fit((*base.names, *other.names), [base.parameters, other.parameters])
                 for base in bases[: 1 + (first.names[0] in ("scale", "rotation"))]
                 for other in single
                 if other not in bases
             ]
-        return sorted(found, key=lambda f: -f.share)
+        return sorted(fits, key=lambda f: -f.share)
 
     def fit(self, names: tuple[str, ...], starts: Sequence[Floats] = ()) -> Fitted:
         """Fit some causes together, from the best of several starts."""
         free = sorted({p for name in names for p in GROUPS[name]})
         cut_again, nothing = DZ in free, np.zeros(6)
-        near = min(
-            (*starts, *self._starts(names)), key=lambda q: self._left_mm2(q, cut_again), default=nothing
-        )
-        chosen = [] if starts else [nothing]
-        if self._left_mm2(near, cut_again) < self.apart_mm2:
-            chosen.append(near)
-        found = [Fitted(names, nothing, 0.0)]
-        for start in chosen:
+        others = [(self._left_mm2(q, cut_again), q) for q in (*starts, *self._starts(names))]
+        left_mm2, near = min(others, key=lambda other: other[0], default=(math.inf, nothing))
+        fits = [Fitted(names, nothing, 0.0)]
+        for start in ([] if starts else [nothing]) + ([near] if left_mm2 < self.apart_mm2 else []):
             q = self._descended(start, free)
-            found.append(Fitted(names, q, 1.0 - self._left_mm2(q, cut_again) / self.apart_mm2))
-        return max(found, key=lambda f: f.share)
+            fits.append(Fitted(names, q, 1.0 - self._left_mm2(q, cut_again) / self.apart_mm2))
+        return max(fits, key=lambda f: f.share)
 
     def _starts(self, names: tuple[str, ...]) -> Iterator[Floats]:
         """Start values of a fit beside 0: other heights, and values estimated from areas and their centroids."""
@@ -137,19 +131,12 @@ class FieldFit:
         def apart(by_mm: Floats) -> Floats:
             return self._distances(changed(by_mm), DZ in free)
 
-        first = np.abs(apart(np.zeros(len(free))))
-        loss_mm = SOFT * max(float(np.median(first)), 1e-3 * float(first.mean()), 1e-12)
-        most_mm = FARTHEST * self.size_mm
-        found = least_squares(
-            apart,
-            np.zeros(len(free)),
-            bounds=(-most_mm, most_mm),
-            loss="soft_l1",
-            f_scale=loss_mm,
-            max_nfev=MOST_STEPS,
-        )
-        lost = np.abs(found.x).max() >= 0.999 * most_mm
-        return start if lost else changed(found.x)
+        still = np.zeros(len(free))
+        first, most_mm = np.abs(apart(still)), FARTHEST * self.size_mm
+        soft_mm = SOFT * max(float(np.median(first)), 1e-3 * float(first.mean()), 1e-12)
+        bounds, options = (-most_mm, most_mm), {"loss": "soft_l1", "f_scale": soft_mm, "max_nfev": MOST_STEPS}
+        by_mm = least_squares(apart, still, bounds=bounds, **options).x
+        return start if np.abs(by_mm).max() >= 0.999 * most_mm else changed(by_mm)
 
     def _predicted(self, q: Floats, cut_again: bool) -> Iterator[Floats]:
         """Contours of each sheet by these parameters, but for the offset: of the other slicer, or the mesh cut again."""
@@ -190,36 +177,58 @@ def centroid(contours: Iterable[Floats]) -> tuple[Floats, float]:
     return (moment / total if total else moment), total
 
 
+def field_cause(name: str, fitted: Fitted, share: float, origin_mm: tuple[float, float]) -> Cause:
+    """Name one cause with its size."""
+    q = fitted.parameters
+    if name == "offset":
+        text = f"constant offset of {abs(q[D]):.4g} mm {'outward' if q[D] > 0.0 else 'inward'}"
+        return Cause(systematic.OFFSET, float(q[D]), "mm", text, share)
+    if name == "translation":
+        text = f"translation by ({q[TX]:.4g}, {q[TY]:.4g}) mm"
+        return Cause(systematic.TRANSLATION, math.hypot(q[TX], q[TY]), "mm", text, share)
+    if name == "height":
+        text = f"wrong height: cut {abs(q[DZ]):.4g} mm too {'high' if q[DZ] > 0.0 else 'low'}"
+        return Cause(systematic.HEIGHT, float(q[DZ]), "mm", text, share)
+    factor, cosine, sine = math.exp(q[E]), math.cos(q[TURN]), math.sin(q[TURN])
+    linear = factor * np.array([[cosine, -sine], [sine, cosine]])
+    centre = np.linalg.lstsq(np.eye(2) - linear, q[[TX, TY]], rcond=None)[0] + origin_mm
+    about = f"about ({centre[0]:.3f}, {centre[1]:.3f}) mm"
+    if name == "rotation":
+        degrees = math.degrees(q[TURN])
+        text = f"rotation by {degrees:.4g} degrees {about}"
+        return Cause(systematic.ROTATION, degrees, "degrees", text, share)
+    if words := unit_of(factor):
+        return unit_cause(words, factor, share)
+    return Cause(systematic.SCALE, factor, "", f"scale by {factor:.6g} {about}", share)
+
+
 # -- Mirrors and quarter turns, units, winding rules, grids ------------------------------------------------------
 
-
 # Quarter turns with their angles, and mirrors with the direction that is reversed (x, y, or both exchanged)
-TURNS: tuple[tuple[str, float, tuple[tuple[int, int], tuple[int, int]]], ...] = (
-    (ROTATION, 180.0, ((-1, 0), (0, -1))),
-    (ROTATION, 90.0, ((0, -1), (1, 0))),
-    (ROTATION, -90.0, ((0, 1), (-1, 0))),
-    (MIRROR, 0.0, ((-1, 0), (0, 1))),
-    (MIRROR, 90.0, ((1, 0), (0, -1))),
-    (MIRROR, 45.0, ((0, 1), (1, 0))),
-    (MIRROR, 135.0, ((0, -1), (-1, 0))),
+Turn = tuple[str, float, tuple[tuple[int, int], tuple[int, int]]]
+TURNS: tuple[Turn, ...] = (
+    (systematic.ROTATION, 180.0, ((-1, 0), (0, -1))),
+    (systematic.ROTATION, 90.0, ((0, -1), (1, 0))),
+    (systematic.ROTATION, -90.0, ((0, 1), (-1, 0))),
+    (systematic.MIRROR, 0.0, ((-1, 0), (0, 1))),
+    (systematic.MIRROR, 90.0, ((1, 0), (0, -1))),
+    (systematic.MIRROR, 45.0, ((0, 1), (1, 0))),
+    (systematic.MIRROR, 135.0, ((0, -1), (-1, 0))),
 )
 MIRRORED = {0.0: "X", 90.0: "Y", 45.0: "X and Y exchanged", 135.0: "X and Y exchanged with their signs"}
 
+# Units that are mistaken for one another, and how many of the second make one of the first
+LENGTHS = (
+    ("inches", "millimetres", 25.4), ("centimetres", "millimetres", 10.0), ("metres", "millimetres", 1000.0),
+    ("feet", "millimetres", 304.8), ("inches", "centimetres", 2.54),
+)  # fmt: skip
 # Factors by which a part is too large if its unit was mistaken
 UNITS: dict[str, float] = {
-    "inches taken for millimetres": 1.0 / 25.4,
-    "millimetres taken for inches": 25.4,
-    "centimetres taken for millimetres": 0.1,
-    "millimetres taken for centimetres": 10.0,
-    "metres taken for millimetres": 0.001,
-    "millimetres taken for metres": 1000.0,
-    "feet taken for millimetres": 1.0 / 304.8,
-    "millimetres taken for feet": 304.8,
-    "inches taken for centimetres": 1.0 / 2.54,
-    "centimetres taken for inches": 2.54,
+    f"{one} taken for {other}": factor
+    for long, short, ratio in LENGTHS
+    for one, other, factor in ((long, short, 1.0 / ratio), (short, long, ratio))
 }
-# Largest relative difference between a scale and the factor of a unit for the scale to be a mistaken unit
-UNIT_SHARE = 0.005
+UNIT_SHARE = 0.005  # largest relative difference of a scale from the factor of a unit that it is mistaken for
 
 # Winding rules other than the default, winding > 0
 RULES: dict[str, Callable[[Ints], Bools]] = {
@@ -228,9 +237,7 @@ RULES: dict[str, Callable[[Ints], Bools]] = {
     "1..1": lambda w: w == 1,
     "winding > 1": lambda w: w > 1,
 }
-MOST_PIECES = (
-    2000  # most pieces of a sheet's difference at which winding numbers are computed, the largest ones
-)
+MOST_PIECES = 2000  # most pieces of a sheet's difference at which winding numbers are computed, the largest
 CELLS = 23  # rows and columns of places at which a rule is checked against the whole section
 MOST_WRONG = 0.02  # largest share of the solid at which a rule may be wrong, because of places on contours
 
@@ -244,22 +251,23 @@ def turned_over(sheets: Sequence[Sheet]) -> Cause:
     middle_a, _ = centroid(sheet.contours_a for sheet in sheets)
     middle_b, _ = centroid(sheet.contours_b for sheet in sheets)
 
-    def share(turn: tuple[str, float, tuple[tuple[int, int], tuple[int, int]]]) -> float:
+    def share(turn: Turn) -> float:
         def guess(sheet: Sheet) -> Floats:
             ends = (sheet.contours_b.reshape(-1, 2) - middle_b) @ np.array(turn[2]).T + middle_a
-            return np.asarray(ends.reshape(-1, 4)[:, [2, 3, 0, 1] if turn[0] == MIRROR else [0, 1, 2, 3]])
+            order = [2, 3, 0, 1] if turn[0] == systematic.MIRROR else [0, 1, 2, 3]
+            return np.asarray(ends.reshape(-1, 4)[:, order])
 
-        return round(share_explained(sheets, guess), 3)  # of those that explain as much, the first
+        return round(share_explained(sheets, guess), 3)  # of the turns that explain as much, the first
 
     explained, (kind, angle, linear) = max(((share(t), t) for t in TURNS), key=lambda found: found[0])
-    if kind == ROTATION:
-        return Cause(ROTATION, angle, "degrees", f"rotation by {angle:g} degrees", explained)
+    if kind == systematic.ROTATION:
+        return Cause(systematic.ROTATION, angle, "degrees", f"rotation by {angle:g} degrees", explained)
     text = f"mirrored: {MIRRORED[angle]}"
     if angle in (0.0, 90.0):
         axis = int(angle == 90.0)
         shift = (middle_a - np.array(linear) @ middle_b)[axis]
         text += f" about {'xy'[axis]} = {0.5 * shift + sheets[0].origin_mm[axis] + 0.0:.3f} mm"
-    return Cause(MIRROR, angle, "degrees", text, explained)
+    return Cause(systematic.MIRROR, angle, "degrees", text, explained)
 
 
 def wrong_unit(sheets: Sequence[Sheet], flaws: MeshFlaws) -> Cause:
@@ -279,7 +287,7 @@ def wrong_unit(sheets: Sequence[Sheet], flaws: MeshFlaws) -> Cause:
 
 def unit_cause(words: str, factor: float, share: float) -> Cause:
     """Make the cause for a mistaken unit."""
-    return Cause(UNIT, factor, "", f"wrong unit: {words}, {factor:.6g} times too large", share)
+    return Cause(systematic.UNIT, factor, "", f"wrong unit: {words}, {factor:.6g} times too large", share)
 
 
 def unit_of(factor: float) -> str:
@@ -297,50 +305,48 @@ def other_rule(sheets: Sequence[Sheet], flaws: MeshFlaws) -> Cause | None:
     for sheet in sheets:
         # Winding numbers are those of all segments, also of those inside of another body.
         mesh = from_origin(flaws.section(sheet.height_mm), sheet.origin_mm)
-        pieces = sweep.overlap(sheet.outline_a, sheet.outline_b, True).difference
-        left, right = (
-            0.5 * (pieces[:, k] + pieces[:, m]) for k, m in ((sweep.L0, sweep.L1), (sweep.R0, sweep.R1))
-        )
-        y = 0.5 * (pieces[:, sweep.Y0] + pieces[:, sweep.Y1])
-        area = np.abs(right - left) * (pieces[:, sweep.Y1] - pieces[:, sweep.Y0])
+        other = outline(sheet.b, 0, sheet.origin_mm)
+        y0, y1, l0, l1, r0, r1 = overlap(sheet.outline_a, other, True).difference.T[:6]
+        left, right = 0.5 * (l0 + l1), 0.5 * (r0 + r1)
+        area = np.abs(right - left) * (y1 - y0)
         whole += float(area.sum())
         largest = np.argsort(-area, kind="stable")[:MOST_PIECES]
-        places = np.ascontiguousarray(np.column_stack([0.5 * (left + right), y])[largest])
+        places = np.column_stack([0.5 * (left + right), 0.5 * (y0 + y1)])[largest]
         in_a, in_b = (windings(c, places) > 0 for c in (sheet.contours_a, sheet.contours_b))
         numbers = windings(mesh, places)
-        as_told = ((numbers > 0) == in_b) & (in_a != in_b)
-        explained += [area[largest][as_told & (rule(numbers) == in_a)].sum() for rule in RULES.values()]
+        as_mesh = ((numbers > 0) == in_b) & (in_a != in_b)
+        explained += [area[largest][as_mesh & (rule(numbers) == in_a)].sum() for rule in RULES.values()]
         if len(mesh):
             low, high = mesh.reshape(-1, 2).min(axis=0), mesh.reshape(-1, 2).max(axis=0)
             steps = low + (high - low) * ((np.arange(CELLS) + 0.5) / CELLS)[:, None]
             places = np.ascontiguousarray(np.stack(np.meshgrid(*steps.T), axis=-1).reshape(-1, 2))
             numbers, in_a = windings(mesh, places), windings(sheet.contours_a, places) > 0
-            wrong += [_differing_share(rule(numbers), in_a) for rule in RULES.values()]
+            for k, rule in enumerate(RULES.values()):
+                solid = rule(numbers)
+                either = int((solid | in_a).sum())
+                wrong[k] += float((solid != in_a).sum() / either) if either else 1.0
     if not whole > 0.0:
         return None
-    best = int(np.argmax(np.where(wrong <= MOST_WRONG * len(sheets), explained, 0.0)))
-    share = float(explained[best]) / whole if wrong[best] <= MOST_WRONG * len(sheets) else 0.0
+    explained[wrong > MOST_WRONG * len(sheets)] = 0.0
+    best = int(np.argmax(explained))
     text = f"other winding rule: solid is {list(RULES)[best]} where the other takes winding > 0"
-    return Cause(WINDING_RULE, float(best), "", text, share)
-
-
-def _differing_share(one: Bools, other: Bools) -> float:
-    """Share of the places that are solid by either of two verdicts, at which these differ; 1 where none is solid."""
-    solid = one | other
-    return float((one != other).sum() / solid.sum()) if solid.any() else 1.0
+    return Cause(systematic.WINDING_RULE, float(best), "", text, float(explained[best]) / whole)
 
 
 def coarse_grid(sheets: Sequence[Sheet]) -> Cause | None:
     """Coordinates rounded to a grid, or to single precision, where those of the other slicer are not."""
-    values = np.unique(np.concatenate([np.zeros((0, 2)), *(sheet.a.points for sheet in sheets)]))
-    other = np.unique(np.concatenate([np.zeros((0, 2)), *(sheet.b.points for sheet in sheets)]))
+    values, other = (
+        np.unique(np.concatenate([np.zeros((0, 2)), *(stack.points for stack in stacks)]))
+        for stacks in ([sheet.a for sheet in sheets], [sheet.b for sheet in sheets])
+    )
     if values.size < GRID_POINTS:
         return None
 
     def share(rounded: Callable[[Floats], Floats]) -> float:
-        return share_explained(
-            sheets, lambda sheet: from_origin(rounded(ring_segments(sheet.b)), sheet.origin_mm)
-        )
+        return share_explained(sheets, lambda s: from_origin(rounded(ring_segments(s.b)), s.origin_mm))
+
+    def single(numbers: Floats) -> Floats:
+        return numbers.astype(np.float32).astype(np.float64)
 
     step = _grid_step(values)
     if step > 0.0:
@@ -350,21 +356,17 @@ def coarse_grid(sheets: Sequence[Sheet]) -> Cause | None:
         shift = values[0] - step * float(np.round(values[0] / step))
         shift = 0.0 if abs(shift) < GRID_SHARE * step else shift
 
-        def snapped(way: Callable[[Floats], Floats]) -> Callable[[Floats], Floats]:
-            return lambda ends: way((ends - shift) / step) * step + shift
+        def snapped(way: Callable[[Floats], Floats]) -> float:
+            return share(lambda ends: way((ends - shift) / step) * step + shift)
 
-        explained = max(share(snapped(way)) for way in (np.round, np.floor, np.ceil, np.trunc))
         text = f"coordinates are rounded to a grid of {step:.6g} mm"
-        return Cause(QUANTISATION, step, "mm", text, explained)
-    if np.array_equal(_single(values), values) and not np.array_equal(_single(other), other):
+        explained = max(map(snapped, (np.round, np.floor, np.ceil, np.trunc)))
+        return Cause(systematic.QUANTISATION, step, "mm", text, explained)
+    if np.array_equal(single(values), values) and not np.array_equal(single(other), other):
         step = float(np.spacing(np.float32(np.abs(values).max())))
         text = f"coordinates are rounded to single precision, {step:.3g} mm at the largest"
-        return Cause(QUANTISATION, step, "mm", text, share(_single))
+        return Cause(systematic.QUANTISATION, step, "mm", text, share(single))
     return None
-
-
-def _single(values: Floats) -> Floats:
-    return values.astype(np.float32).astype(np.float64)
 
 
 def _grid_step(values: Floats) -> float:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ebamcheck.comparison import place_causes as local
 from ebamcheck.comparison import whole_causes as systematic
-from ebamcheck.comparison.diagnosis import Differing, cause_of, diagnose
+from ebamcheck.comparison.diagnosis import cause_of, diagnose
 from ebamcheck.comparison.outline import outline
 from ebamcheck.comparison.pairwise import GENERIC
 from ebamcheck.comparison.place_causes import MeshFlaws, Place, declared_doubt, likely_cause
@@ -28,15 +28,14 @@ Columns = Mapping[str, NDArray[Any]]
 
 
 @dataclass(frozen=True)
-class Told:
+class Differing:
     """A slicer that differs from another on a layer, with the figures of the pair."""
 
     layer: int
     backend: str
     against: str
     columns: Columns
-    is_second: bool
-    """Whether the slicer that differs is the second one of the pair."""
+    is_second: bool  # whether the slicer that differs is the second one of the pair
 
 
 def named_findings(
@@ -54,68 +53,54 @@ def named_findings(
     """
     flaws, names = MeshFlaws(part), list(stacks)
     columns = [{name: rows[name].to_numpy() for name in rows.columns} for rows in tables]
-    every = list(_disagreeing(names, columns, consensus, verdicts))
-    pairs: dict[tuple[str, str], list[Told]] = {}
-    for told in every:
-        pairs.setdefault((told.backend, told.against), []).append(told)
-    x, y, _ = part.bounds.mean(axis=0).tolist()
-    causes = {key: _diagnosed(pair, stacks, heights, flaws, (x, y)) for key, pair in pairs.items()}
+    pairs: dict[tuple[str, str], list[Differing]] = {}
+    every = list(_differing(names, columns, consensus, verdicts))
+    for one in every:
+        pairs.setdefault((one.backend, one.against), []).append(one)
+    causes = {key: _diagnosed(pair, stacks, heights, flaws) for key, pair in pairs.items()}
     namer = _Namer(flaws, stacks)
-    found = [namer.named(told, causes[told.backend, told.against]) for told in every]
-    found += [
+    findings = [namer.named(one, causes[one.backend, one.against]) for one in every]
+    findings += [
         _empty_finding(flaws, names, layer, float(heights[layer]), columns)
         for layer, verdict in enumerate(verdicts)
         if verdict == EMPTY
     ]
-    return iter(sorted(found, key=lambda f: f.layer))
+    return iter(sorted(findings, key=lambda f: f.layer))
 
 
-def _disagreeing(
-    names: list[str],
-    columns: list[dict[str, NDArray[Any]]],
-    consensus: list[tuple[int, ...]],
-    verdicts: list[str],
-) -> Iterator[Told]:
+def _differing(
+    names: list[str], tables: list[Columns], consensus: list[tuple[int, ...]], verdicts: list[str]
+) -> Iterator[Differing]:
     """Every slicer that differs from another one, layer by layer."""
-    couples = list(combinations(range(len(names)), 2))
-    for layer, verdict in enumerate(verdicts):
+    for layer, (members, verdict) in enumerate(zip(consensus, verdicts, strict=True)):
         if verdict not in (OUTLIER, UNDECIDED):
             continue
-        members = consensus[layer]
-        for (i, j), column in zip(couples, columns, strict=True):
-            if not column["gated"][layer] or column["agrees"][layer]:
+        for (i, j), columns in zip(combinations(range(len(names)), 2), tables, strict=True):
+            if not columns["gated"][layer] or columns["agrees"][layer]:
                 continue
             if members and i not in members and j not in members:
                 continue  # two outliers: each is named against the consensus
-            is_second = i in members
-            backend, against = (j, i) if is_second else (i, j)
-            yield Told(layer, names[backend], names[against], column, is_second)
+            backend, against = (j, i) if i in members else (i, j)
+            yield Differing(layer, names[backend], names[against], columns, i in members)
 
 
 def _diagnosed(
-    pair: Sequence[Told],
-    stacks: Mapping[str, LayerSource],
-    heights: Floats,
-    flaws: MeshFlaws,
-    origin_mm: tuple[float, float],
+    pair: Sequence[Differing], stacks: Mapping[str, LayerSource], heights: Floats, flaws: MeshFlaws
 ) -> tuple[Cause, ...]:
     """Find the systematic causes of a pair; none where planes pass through vertices only, which is then the common cause.
 
     Layers with open paths are left out: their common cause is a mesh that is not closed.
     """
-    columns = pair[0].columns
+    columns, order = pair[0].columns, ("b", "a") if pair[0].is_second else ("a", "b")
     open_paths = columns["open_a"] + columns["open_b"]
-    closed = np.array([told.layer for told in pair if not open_paths[told.layer]], np.int64)
+    closed = np.array([one.layer for one in pair if not open_paths[one.layer]], np.int64)
     if not (columns["class"][closed] == GENERIC).any():
         return ()
-    order = ("b", "a") if pair[0].is_second else ("a", "b")
-    found = Differing(
-        closed,
-        heights,
-        np.array([columns[f"area_{which}_mm2"] for which in order]),
-        np.array([columns[f"rings_{which}"] for which in order]),
-    )
-    return diagnose(stacks[pair[0].backend], stacks[pair[0].against], found, flaws, origin_mm)
+    areas = np.array([columns[f"area_{which}_mm2"] for which in order])
+    rings = np.array([columns[f"rings_{which}"] for which in order])
+    x, y, _ = flaws.part.bounds.mean(axis=0).tolist()
+    a, b = stacks[pair[0].backend], stacks[pair[0].against]
+    return diagnose(a, b, closed, heights, areas, rings, flaws, (x, y))
 
 
 class _Namer:
@@ -126,56 +111,45 @@ class _Namer:
         self._declared = {name: stack.settings for name, stack in stacks.items()}
         self._readers = {name: Reader(stack) for name, stack in stacks.items()}
 
-    def named(self, told: Told, causes: tuple[Cause, ...]) -> Disagreement:
+    def named(self, differing: Differing, causes: tuple[Cause, ...]) -> Disagreement:
         """Name one disagreement of a pair."""
-        row = {name: values[told.layer] for name, values in told.columns.items()}
-        backends = (told.backend, told.against)
-        depth, limit = float(row["depth_mm"]), float(row["limit_mm"])
-        rings = abs(int(row["rings_a"]) - int(row["rings_b"])) or abs(
-            int(row["holes_a"]) - int(row["holes_b"])
+        layer, backends = differing.layer, (differing.backend, differing.against)
+        row = {name: values[layer] for name, values in differing.columns.items()}
+        depth, limit, x_mm, y_mm, height_mm = (
+            float(row[name]) for name in ("depth_mm", "limit_mm", "depth_x_mm", "depth_y_mm", "height_mm")
         )
-        metric = ("depth", depth, limit) if depth > limit else ("topology", float(rings), 0.0)
-        x_mm, y_mm, height_mm = (float(row[name]) for name in ("depth_x_mm", "depth_y_mm", "height_mm"))
-        place = Place(
-            x_mm, y_mm, height_mm, depth, limit, str(row["class"]), bool(row["open_a"] + row["open_b"] > 0)
-        )
+        rings, holes = (abs(int(row[f"{name}_a"]) - int(row[f"{name}_b"])) for name in ("rings", "holes"))
+        metric = ("depth", depth, limit) if depth > limit else ("topology", float(rings or holes), 0.0)
+        has_open = bool(row["open_a"] + row["open_b"] > 0)
+        place = Place(x_mm, y_mm, height_mm, depth, limit, str(row["class"]), has_open)
         declared = [self._declared[name] for name in backends]
-        finding = (told.layer, height_mm, *backends, *metric, x_mm, y_mm)
-        cause = cause_of(causes, told.layer)
+        finding = (layer, height_mm, *backends, *metric, x_mm, y_mm)
+        cause = cause_of(causes, layer)
         if cause is not None and not (place.known and declared_doubt(place, declared)):
-            return Disagreement(
-                *finding, cause.kind, cause.in_words(), cause.size, cause.unit, cause.share,
-                remedy(cause.kind, *backends),
-            )  # fmt: skip
-        likely = likely_cause(
-            self._flaws, place, declared, lambda: [self._segments(name, told.layer) for name in backends]
-        )
-        return Disagreement(*finding, likely, likely, remedy=remedy(likely, *backends))
+            size = cause.size, cause.unit, cause.share
+            return Disagreement(*finding, cause.kind, cause.in_words(), *size, remedy(cause.kind, *backends))
 
-    def _segments(self, name: str, layer: int) -> Floats:
-        return outline(self._readers[name].layer(layer), 0, (0.0, 0.0)).segments
+        def contours() -> list[Floats]:
+            return [outline(self._readers[n].layer(layer), 0, (0.0, 0.0)).segments for n in backends]
+
+        likely = likely_cause(self._flaws, place, declared, contours)
+        return Disagreement(*finding, likely, likely, remedy=remedy(likely, *backends))
 
 
 def _empty_finding(
-    flaws: MeshFlaws, names: list[str], layer: int, height_mm: float, columns: list[dict[str, NDArray[Any]]]
+    flaws: MeshFlaws, names: list[str], layer: int, height_mm: float, tables: list[Columns]
 ) -> Disagreement:
     """Name a layer that is empty in all stacks although facets of the part cross it; the value is the area."""
     x, y = flaws.place(height_mm)
-    column = columns[0]
-    open_paths = any(bool(c["open_a"][layer] + c["open_b"][layer] > 0) for c in columns)
-    extent = float(np.linalg.norm(flaws.part.size))
-    place = Place(x, y, height_mm, extent, 0.0, str(column["class"][layer]), open_paths)
-    cause = likely_cause(flaws, place)
+    has_open = any(bool(columns["open_a"][layer] + columns["open_b"][layer] > 0) for columns in tables)
+    extent, layer_class = float(np.linalg.norm(flaws.part.size)), str(tables[0]["class"][layer])
+    cause = likely_cause(flaws, Place(x, y, height_mm, extent, 0.0, layer_class, has_open))
     backends = ",".join(names)
-    return Disagreement(
-        layer, height_mm, backends, "part", "empty", 0.0, 0.0, x, y, cause, cause,
-        remedy=remedy(cause, backends, "part"),
-    )  # fmt: skip
+    finding = (layer, height_mm, backends, "part", "empty", 0.0, 0.0, x, y, cause, cause)
+    return Disagreement(*finding, remedy=remedy(cause, backends, "part"))
 
 
-# -- Remedies for a disagreement, by its cause: a setting, another slicer, another direction, or a repair of
-# the part.
-
+# -- Remedies for a disagreement, by its cause: a setting, another slicer, another direction, or a repair of the part
 
 LEAVE_OUT = "leave {backend} out (--backends), and tell those who make it"
 SETTINGS = "look at the settings of {backend} (slicing.settings.{backend})"
@@ -241,27 +215,19 @@ class Disagreement:
 
     layer: int
     height_mm: float
-    backend: str
-    """The outlier; on an undecided layer, either of the two."""
-    against: str
-    """The backend it was compared with, or ``part`` for a layer that came out empty."""
-    metric: str
-    """``depth``, ``topology`` (numbers of outer rings and holes) or ``empty``."""
+    backend: str  # the outlier; on an undecided layer, either of the two
+    against: str  # the backend it was compared with, or `part` for a layer that came out empty
+    metric: str  # "depth", "topology" (numbers of outer rings and holes) or "empty"
     value: float
     limit: float
     x_mm: float
     y_mm: float
-    cause: str
-    """Kind of the likely cause: ``translation``, ``open edge``, ``unknown``."""
-    cause_text: str = ""
-    """Description of the cause, with its size and the share of the difference that it explains, if known."""
-    cause_size: float | None = None
-    """Fitted size of the cause, in `cause_unit`; None if it has none."""
+    cause: str  # kind of the likely cause: "translation", "open edge", "unknown"
+    cause_text: str = ""  # the cause with its size and the share of the difference that it explains, if known
+    cause_size: float | None = None  # fitted size of the cause, in `cause_unit`; None if it has none
     cause_unit: str = ""
-    cause_share: float | None = None
-    """Share of the difference between the two slicers that the cause explains, 0 .. 1."""
-    remedy: str = ""
-    """What to do about it, without a full stop."""
+    cause_share: float | None = None  # share of the difference that the cause explains, 0 .. 1
+    remedy: str = ""  # without a full stop
 
     @property
     def excess(self) -> float:

@@ -16,15 +16,16 @@ from ebamcheck.comparison.sources import LayerSource
 from ebamcheck.comparison.sweep import overlap
 from ebamcheck.geometry.nearest import distances
 from ebamcheck.kernels import Floats, Ints
-from ebamcheck.layers.stack import Layers, canonical
+from ebamcheck.layers.stack import Layers, from_rings
 
 MOST_SHEETS = 12  # most layers of a pair that are examined: enough to find what they have in common
 # Most rings of these layers, of both slicers together: fewer are taken where each has over 25,000, as specks of a raster may be
 MOST_RINGS = 300_000
 WINDOW = 32  # layers read from a file at once
 PLACES = 160  # places along the contours of a sheet at which distances are taken
-# Most segments for which the winding number on both sides is computed, which takes quadratic time
-MOST_SEGMENTS = 4000
+MOST_SEGMENTS = (
+    4000  # most segments for which the winding number on both sides is computed, which takes quadratic time
+)
 ASIDE = 1e-6  # distance beside a segment, over its length, at which the winding number is computed
 
 
@@ -44,11 +45,6 @@ class Sheet:
         return outline(self.a, 0, self.origin_mm)
 
     @cached_property
-    def outline_b(self) -> Outline:
-        """Outline of `b` from the origin."""
-        return outline(self.b, 0, self.origin_mm)
-
-    @cached_property
     def contours_a(self) -> Floats:
         """Segments (S, 4) of the closed rings of `a` from the origin."""
         return from_origin(ring_segments(self.a), self.origin_mm)
@@ -61,7 +57,12 @@ class Sheet:
     @cached_property
     def difference_mm2(self) -> float:
         """Area of the symmetric difference."""
-        return apart_mm2(self.outline_a, self.outline_b)
+        return self.apart_mm2(self.b)
+
+    def apart_mm2(self, other: Layers) -> float:
+        """Area of the symmetric difference of `a` and another layer; infinite if they have too many crossings."""
+        swept = overlap(self.outline_a, outline(other, 0, self.origin_mm), False)
+        return float(swept.symmetric_difference_mm2) if swept.sound else np.inf
 
     @property
     def both_solid(self) -> bool:
@@ -69,16 +70,8 @@ class Sheet:
         return bool(self.a.closed.any() and self.b.closed.any())
 
     def with_rings(self, rings: Sequence[ArrayLike]) -> Sheet:
-        """Return the sheet with other closed rings in place of those that differ."""
-        arrays = [np.asarray(ring, np.float64).reshape(-1, 2) for ring in rings]
-        made = canonical(
-            [self.height_mm],
-            np.concatenate([np.zeros((0, 2)), *arrays]),
-            np.concatenate([[0], np.cumsum([len(a) for a in arrays], dtype=np.int64)]),
-            np.array([0, len(arrays)]),
-            np.ones(len(arrays), np.bool_),
-        )
-        return replace(self, a=made)
+        """Return the sheet with other closed rings in place of those of `a`."""
+        return replace(self, a=from_rings([self.height_mm], [rings]))
 
 
 def ring_segments(layers: Layers) -> Floats:
@@ -125,12 +118,6 @@ def sample(
 
 
 # -- Areas between two layers: exactly, and by distances, which a fit can follow --------------------------------
-
-
-def apart_mm2(a: Outline, b: Outline) -> float:
-    """Area of the symmetric difference of two outlines, mm2; infinite if they have too many crossings."""
-    found = overlap(a, b, False)
-    return float(found.symmetric_difference_mm2) if found.sound else np.inf
 
 
 def total_mm2(sheets: Sequence[Sheet]) -> float:

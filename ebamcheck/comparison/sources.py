@@ -9,49 +9,40 @@ from typing import Any, Protocol
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from ebamcheck.kernels import Floats, Ints
 from ebamcheck.layers.stack import Layers
 
 
 class LayerSource(Protocol):
     """A source of blocks of one stack: :class:`~ebamcheck.layers.stack.Layers`, or a file of them."""
 
-    def __len__(self) -> int:
-        """Return the number of layers."""
-        ...
+    def __len__(self) -> int: ...
 
     @property
     def part(self) -> str:
         """Hash of the part."""
-        ...
 
     @property
-    def heights(self) -> NDArray[np.float64]:
+    def heights(self) -> Floats:
         """Heights of all layers, (L,) mm."""
-        ...
 
     @property
     def settings(self) -> Mapping[str, Any]:
-        """Settings of the slicer, and what it declared about the part."""
-        ...
+        """Settings of the slicer, and its declarations about the part."""
 
     def block(self, start: int, stop: int) -> Layers:
         """Layers ``start .. stop - 1``."""
-        ...
 
 
-def blocks_of(
-    sources: Sequence[LayerSource], borders: NDArray[np.int64] | None
-) -> Iterator[tuple[int, list[Layers]]]:
+def blocks_of(sources: Sequence[LayerSource], borders: Ints | None) -> Iterator[tuple[int, list[Layers]]]:
     """Yield the first layer and the stacks of each block; all layers at once if there are no borders.
 
     While a block is processed the next one is read, so no more than two of each source are in memory.
     """
     if not sources:
         return
-    ends = [0, len(sources[0])] if borders is None else borders.tolist()
-    spans = list(pairwise(ends))
+    spans = list(pairwise([0, len(sources[0])] if borders is None else borders.tolist()))
 
     def read(span: tuple[int, int]) -> list[Layers]:
         return [source.block(*span) for source in sources]
@@ -68,13 +59,12 @@ def blocks_of(
 
 def contour_figures(layers: Layers) -> pd.DataFrame:
     """Figures of each layer of one stack: area, and numbers of closed rings, outer rings, open paths and points."""
-    points = np.diff(layers.ring_starts[layers.layer_starts])
     return pd.DataFrame(
         {
             "area_mm2": layers.areas(),
             "rings": layers.ring_counts(),
             "outer_rings": layers.outer_counts(),
             "open_paths": layers.open_counts(),
-            "points": points,
+            "points": np.diff(layers.ring_starts[layers.layer_starts]),
         }
     )

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from ebamcheck.atomic_file import replacing
 from ebamcheck.columns_file import starts_of
 from ebamcheck.errors import InputError, SettingsError
-from ebamcheck.kernels import Floats, Ints
+from ebamcheck.kernels import Bools, Floats, Ints, ShortInts
 from ebamcheck.layers.stack import Layers, canonical, from_paths
 from ebamcheck.mesh.part import Part
 
@@ -29,9 +29,7 @@ TYPES = {name: pa.int64() for name in ("layer", "ring", "closed")} | {
 }
 
 
-def stack_of_rings(
-    heights: Floats, ring_layer: Ints, sizes: Ints, closed: NDArray[np.bool_], points: Floats
-) -> Layers:
+def stack_of_rings(heights: Floats, ring_layer: Ints, sizes: Ints, closed: Bools, points: Floats) -> Layers:
     """Stack of the rings of a file, in any order: layer, number of points and whether closed (R,) of each, and all their points (N,
     2), mm."""
     order = np.argsort(ring_layer, kind="stable")
@@ -228,7 +226,7 @@ def read_vtp(path: str | Path) -> Layers:
         return _stack_of_lines(points[rows], np.diff(ends, prepend=0), besides)
 
 
-def _stack_of_lines(points: NDArray[np.float64], sizes: Ints, said: NDArray[np.float64]) -> Layers:
+def _stack_of_lines(points: Floats, sizes: Ints, said: Floats) -> Layers:
     """Contours of lines, one after the other; heights of layers without one are said besides."""
     if (sizes < 2).any() or sizes.sum() != len(points):
         raise ValueError("a line has fewer than two points, or the offsets of lines do not rise")
@@ -267,14 +265,10 @@ def _values(root: ElementTree.Element, array: ElementTree.Element) -> NDArray[An
 
 
 def _write_polydata(
-    path: str | Path,
-    points: NDArray[np.float64],
-    kind: str,
-    cells: tuple[Ints, Ints],
-    cell_data: Mapping[str, NDArray[Any]],
-    point_data: Mapping[str, NDArray[Any]] | None = None,
-    heights: NDArray[np.float64] | None = None,
-) -> None:
+    path: str | Path, points: Floats, kind: str, cells: tuple[Ints, Ints],
+    cell_data: Mapping[str, NDArray[Any]], point_data: Mapping[str, NDArray[Any]] | None = None,
+    heights: Floats | None = None,
+) -> None:  # fmt: skip
     appended: list[bytes] = []
     length = 0
 
@@ -419,7 +413,7 @@ def slice_heights(layers: Layers) -> tuple[float, Floats]:
     return float(cuts[0] - 0.5 * steps[0]), np.append(borders, cuts[-1] + 0.5 * steps[-1])
 
 
-def _box(layers: Layers, bottom: float, top: float) -> tuple[Floats, NDArray[np.int32]]:
+def _box(layers: Layers, bottom: float, top: float) -> tuple[Floats, ShortInts]:
     if not len(layers.points):
         raise SettingsError("there is no contour on any layer: there is nothing to write as 3MF")
     x0, y0, x1, y1 = layers.bounds()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ebamcheck.errors import BackendFailed
 from ebamcheck.kernels import Ints
@@ -69,7 +68,7 @@ def _near_pairs(layers: Layers) -> tuple[Ints, Ints]:
     """Pairs of closed rings of one layer whose boxes overlap."""
     boxes, layer = layers.ring_bounds, layers.ring_layer
     most = int(np.diff(layers.layer_starts).max(initial=0))
-    found: list[NDArray[np.int64]] = [np.zeros((2, 0), np.int64)]
+    found: list[Ints] = [np.zeros((2, 0), np.int64)]
     for apart in range(1, most):
         r = np.flatnonzero(layer[apart:] == layer[:-apart])
         s = r + apart

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ebamcheck.errors import SettingsError
-from ebamcheck.kernels import Floats
+from ebamcheck.kernels import Floats, Ints
 from ebamcheck.mesh.bodies import volumes_between
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.part_source import PlatePart
@@ -27,7 +27,7 @@ LARGEST_STACK = 1_000_000  # most layers of a stack: more come from a mistyped l
 LARGEST_BLOCK = 1024
 
 
-def layer_heights(part: Part, layer_height: float) -> NDArray[np.float64]:
+def layer_heights(part: Part, layer_height: float) -> Floats:
     """Heights of the middles of uniform layers, from the part's lowest point up, (L,) mm.
 
     The number of layers is the part's height over the layer height, rounded to the nearest, at least 1;
@@ -70,7 +70,7 @@ def layer_heights(part: Part, layer_height: float) -> NDArray[np.float64]:
     return np.asarray(bottom + (np.arange(count) + 0.5) * layer_height, dtype=np.float64)
 
 
-def checked_heights(heights: ArrayLike) -> NDArray[np.float64]:
+def checked_heights(heights: ArrayLike) -> Floats:
     """Heights as a float64 column; raises :class:`SettingsError` if one is not finite."""
     column = np.asarray(heights, dtype=np.float64).reshape(-1)
     wrong = np.flatnonzero(~np.isfinite(column))
@@ -80,12 +80,12 @@ def checked_heights(heights: ArrayLike) -> NDArray[np.float64]:
     return column
 
 
-def is_rising(heights: NDArray[np.float64]) -> bool:
+def is_rising(heights: Floats) -> bool:
     """Whether each height is above the one before it."""
     return bool((np.diff(heights) > 0.0).all())
 
 
-def crossing_counts(part: Part, heights: ArrayLike) -> NDArray[np.int64]:
+def crossing_counts(part: Part, heights: ArrayLike) -> Ints:
     """Number of facets with ``min z <= h < max z`` at each height, (L,): those that a section at h + 0 cuts."""
     planes = np.asarray(heights, dtype=np.float64).reshape(-1)
     order = np.argsort(planes, kind="stable")
@@ -99,7 +99,7 @@ def crossing_counts(part: Part, heights: ArrayLike) -> NDArray[np.int64]:
     return counts
 
 
-def layer_blocks(part: Part, heights: ArrayLike, most_points: int) -> NDArray[np.int64]:
+def layer_blocks(part: Part, heights: ArrayLike, most_points: int) -> Ints:
     """Borders (B + 1,) from 0 to L of blocks of layers, of at most so many points (one a cut facet) or of one layer; ``[0, 0]``
     without a layer."""
     ends = np.cumsum(crossing_counts(part, heights))

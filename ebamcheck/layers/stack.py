@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ebamcheck.errors import SettingsError
 from ebamcheck.geometry import rings
-from ebamcheck.kernels import Bools, Floats, Ints
+from ebamcheck.kernels import Bools, Floats, Ints, ShortInts
 from ebamcheck.layers.canonical_form import ring_forms, ring_order, rows_in_form
 from ebamcheck.showing import short_text
 from ebamcheck.showing.columns import LayerColumns, outline_svg
@@ -183,7 +183,7 @@ class Layers(LayerColumns[Layer]):
     ring_starts: Ints
     layer_starts: Ints
     closed: Bools
-    edge: NDArray[np.int32] | None = None
+    edge: ShortInts | None = None
     edge_t: Floats | None = None
     part: str = ""
     direction: tuple[float, float, float] = UP
@@ -389,7 +389,7 @@ def canonical(
     layer_starts: ArrayLike,
     closed: ArrayLike,
     *,
-    edge: NDArray[np.int32] | None = None,
+    edge: ShortInts | None = None,
     edge_t: Floats | None = None,
     **labels: Any,
 ) -> Layers:

@@ -8,9 +8,8 @@ from functools import reduce
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ebamcheck.kernels import Bools, Floats, kernel
+from ebamcheck.kernels import Bools, Floats, ShortInts, kernel
 from ebamcheck.mesh.bodies import MOST_LISTED, NO_VOLUME, Relation, bodies_of, body_volumes, inside_out_bodies
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.topology import EdgeGroups, Index, body_labels, direction_balance, duplicates, edge_groups
@@ -245,9 +244,7 @@ def fix_orientation(part: Part) -> tuple[Part, int]:
 
 
 @kernel
-def _consistent_flips(
-    faces: NDArray[np.int32], half_edges: NDArray[np.int32], starts: NDArray[np.int32]
-) -> NDArray[np.bool_]:
+def _consistent_flips(faces: ShortInts, half_edges: ShortInts, starts: ShortInts) -> Bools:
     """Facets (F,) to turn so that neighbours across two-facet edges run opposite ways; the minority of a body turns."""
     count = faces.shape[0]
     across = np.full(3 * count, -1, np.int32)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ebamcheck.errors import InputError
-from ebamcheck.kernels import kernel
+from ebamcheck.kernels import Ints, kernel
 from ebamcheck.mesh.reading import checked_finite, decimal_comma, how_to_read, is_number
 
 HEADER_BYTES = 84
@@ -152,14 +152,9 @@ def _is_word(text: NDArray[np.uint8], start: int, stop: int, word: NDArray[np.ui
 
 @kernel
 def _scan(
-    text: NDArray[np.uint8],
-    words: NDArray[np.uint8],
-    sizes: NDArray[np.int64],
-    solid: NDArray[np.uint8],
-    endsolid: NDArray[np.uint8],
-    starts: NDArray[np.int64],
-    stops: NDArray[np.int64],
-) -> tuple[int, int, int, int]:
+    text: NDArray[np.uint8], words: NDArray[np.uint8], sizes: Ints, solid: NDArray[np.uint8],
+    endsolid: NDArray[np.uint8], starts: Ints, stops: Ints,
+) -> tuple[int, int, int, int]:  # fmt: skip
     """Find the coordinates of all facets: (status, facets, position and expected word of the error)."""
     n = text.size
     i = 0
@@ -207,9 +202,7 @@ def _scan(
 
 
 @kernel
-def _copy_tokens(
-    text: NDArray[np.uint8], starts: NDArray[np.int64], stops: NDArray[np.int64], table: NDArray[np.uint8]
-) -> None:
+def _copy_tokens(text: NDArray[np.uint8], starts: Ints, stops: Ints, table: NDArray[np.uint8]) -> None:
     for row in range(starts.size):
         for j in range(stops[row] - starts[row]):
             table[row, j] = text[starts[row] + j]

@@ -67,13 +67,9 @@ def cut(
 
 
 def _blocks(
-    prepared: Prepared,
-    part: Part,
-    heights: NDArray[np.float64],
-    borders: NDArray[np.int64],
-    tell: Callable[..., None],
-    kept: KeptBlocks | None,
-) -> Iterator[Layers]:
+    prepared: Prepared, part: Part, heights: NDArray[np.float64], borders: NDArray[np.int64],
+    tell: Callable[..., None], kept: KeptBlocks | None,
+) -> Iterator[Layers]:  # fmt: skip
     """Cut one block of layers after the other and tell what they hold; the time is that of the slicer alone."""
     seconds, rings, open_paths, points = 0.0, 0, 0, 0
     for first, past in itertools.pairwise(borders.tolist()):

@@ -185,13 +185,9 @@ class Slicing:
             self._begin(part, part, name, checked, lambda: slicer.prepare(part, checked))
 
     def _begin(
-        self,
-        part: Part,
-        unturned: Part,
-        backend: str,
-        settings: BackendSettings,
+        self, part: Part, unturned: Part, backend: str, settings: BackendSettings,
         prepare: Callable[[], Prepared],
-    ) -> None:
+    ) -> None:  # fmt: skip
         self.part, self.backend, self.settings, self._unturned = part, backend, settings, unturned
         self._thread, self._open = ThreadPoolExecutor(1, thread_name_prefix=f"ebamcheck-{backend}"), True
         try:

@@ -18,7 +18,6 @@ from threading import Lock
 from typing import Annotated, Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ebamcheck.backend import BackendSettings, Probe, Progress
 from ebamcheck.errors import BackendFailed, BackendMissing
@@ -118,7 +117,7 @@ class LatticeStack:
         self._cut = None
         self._kept.clear()
 
-    def slice(self, heights: NDArray[np.float64], progress: Progress | None = None) -> Layers:
+    def slice(self, heights: Floats, progress: Progress | None = None) -> Layers:
         """Cut at strictly increasing heights (L,), mm."""
         with self._lock:
             return self._slice(heights, progress or (lambda _: None))
