@@ -26,13 +26,9 @@ from ebamcheck.slicers.outside import lattices
 from ebamcheck.slicers.outside.lattices import Lattice, LatticeStack, Placement, Program, ProgramSettings
 
 PROGRAM = Program(
-    name="CuraEngine",
-    command="CuraEngine",
-    variable="EBAMCHECK_CURAENGINE",
-    package="cura-engine cura",
-    version_arguments=("help",),
-    version_pattern=r"version (\d+\.\d+\S*)",
-)
+    name="CuraEngine", command="CuraEngine", variable="EBAMCHECK_CURAENGINE", package="cura-engine cura",
+    version_arguments=("help",), version_pattern=r"version (\d+\.\d+\S*)",
+)  # fmt: skip
 
 # Environment variable with the folder of Cura's definitions, if it is none of the usual ones
 DEFINITIONS = "EBAMCHECK_CURA_DEFINITIONS"

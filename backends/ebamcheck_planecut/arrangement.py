@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ebamcheck.kernels import Bools, Floats, Ints, ShortInts, kernel
 from ebamcheck.layers.stack import Layers, canonical
-from ebamcheck.mesh.topology import edge_groups
+from ebamcheck.mesh.topology import components, edge_groups
 from ebamcheck_planecut.overlaps import NESTED_WRONG, kept_rings
 
 Index = NDArray[np.int32]
@@ -134,16 +134,12 @@ def sheets_of_vertices(faces: ShortInts, count: int) -> ShortInts:
     Sheets are facets that hang together across edges at which exactly two of them meet.
     """
     # Few meshes need them, and loading them takes longer than slicing a small part.
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
 
     groups = edge_groups(faces, count)
     two = groups.starts[:-1][np.diff(groups.starts) == 2]
-    a, b = groups.half_edges[two] // 3, groups.half_edges[two + 1] // 3
-    graph = coo_array((np.ones(len(a), np.bool_), (a, b)), shape=(len(faces), len(faces)))
-    _, sheet = connected_components(graph, directed=False)
+    sheet = components(len(faces), groups.half_edges[two] // 3, groups.half_edges[two + 1] // 3)
     tails = faces.reshape(-1)[groups.half_edges]
-    found = sheet[groups.half_edges // 3].astype(np.int32)
+    found = sheet[groups.half_edges // 3]
     result = np.full(count, SEVERAL, np.int32)
     result[tails] = found
     result[tails[result[tails] != found]] = SEVERAL

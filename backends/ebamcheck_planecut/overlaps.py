@@ -48,20 +48,22 @@ def overlap_search(points: int, reach_mm: float) -> OverlapSearch:
     leaves = 1
     while leaves < points // 3 + points // SEGMENTS_A_LEAF + 1:
         leaves *= 2
-    return OverlapSearch(
+    boxes, ways, ring = (
         np.empty((2 * leaves, 4)),
         np.empty(2 * leaves, np.uint8),
         np.empty(2 * leaves, np.int32),
-        np.empty(leaves + 1, np.int64),
-        np.empty(
-            (512, 3), np.int32
-        ),  # under three pairs wait per level of two nodes, and levels are under 64
-        reach_mm,
+    )
+    first = np.empty(leaves + 1, np.int64)
+    # Under three pairs wait per level of two nodes, and levels are under 64.
+    stack = np.empty((512, 3), np.int32)
+    outward, first_leaf, around = (
         np.empty(points, np.int64),
         np.empty(points, np.int64),
-        np.empty(points),
         np.empty(points, np.int64),
-        np.empty(points, np.bool_),
+    )
+    greatest_x, keep = np.empty(points), np.empty(points, np.bool_)
+    return OverlapSearch(
+        boxes, ways, ring, first, stack, reach_mm, outward, first_leaf, greatest_x, around, keep
     )
 
 

@@ -51,15 +51,9 @@ class Tracks(NamedTuple):
 
 @kernel
 def cut_block(
-    mesh: SortedMesh,
-    heights: Floats,
-    under: Index,
-    seen: Index,
-    columns: Columns,
-    row: int,
-    classify: bool,
+    mesh: SortedMesh, heights: Floats, under: Index, seen: Index, columns: Columns, row: int, classify: bool,
     reach_mm: float,
-) -> Block:
+) -> Block:  # fmt: skip
     """Cut layers at increasing heights (L,), over `under` (L,) vertices, and write their rings in canonical form from `row` on.
 
     `seen` (F,) has zeros. With `classify`, shells that overlap, or touch within the reach, are looked for.
@@ -67,20 +61,13 @@ def cut_block(
     room = mesh.crossed[under]
     total, most = int(room.sum()), int(room.max())
     active = np.empty(most, np.int32)
-    track = Tracks(
-        np.empty((most, 2)),
-        np.empty((most, 2), np.int32),
-        np.empty(most),
-        np.zeros(most + 1, np.int64),
-        np.empty(most, np.bool_),
-    )
+    points, edge, edge_t = np.empty((most, 2)), np.empty((most, 2), np.int32), np.empty(most)
+    track = Tracks(points, edge, edge_t, np.zeros(most + 1, np.int64), np.empty(most, np.bool_))
     forms, order = np.empty((most, 3), np.int64), np.empty(most, np.int64)
     search = overlap_search(most if classify else 0, reach_mm)
-    ring_starts = np.empty(total + 1, np.int64)
-    closed = np.empty(total, np.bool_)
+    ring_starts, closed = np.empty(total + 1, np.int64), np.empty(total, np.bool_)
     layer_starts = np.zeros(heights.size + 1, np.int64)
-    dropped = np.zeros(heights.size, np.int64)
-    kinds = np.zeros(heights.size, np.int8)
+    dropped, kinds = np.zeros(heights.size, np.int64), np.zeros(heights.size, np.int8)
     ring_starts[0] = row
     count = facets_across(mesh, under[0], active)
     for n in range(heights.size):

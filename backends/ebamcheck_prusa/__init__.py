@@ -31,13 +31,9 @@ from ebamcheck.slicers.outside import lattices
 from ebamcheck.slicers.outside.lattices import Lattice, LatticeStack, Placement, Program, ProgramSettings
 
 PROGRAM = Program(
-    name="PrusaSlicer",
-    command="prusa-slicer",
-    variable="EBAMCHECK_PRUSA_SLICER",
-    package="prusa-slicer",
-    version_arguments=("--help",),
-    version_pattern=r"PrusaSlicer-(\d+\.\d+\.\d\S*)",
-)
+    name="PrusaSlicer", command="prusa-slicer", variable="EBAMCHECK_PRUSA_SLICER", package="prusa-slicer",
+    version_arguments=("--help",), version_pattern=r"PrusaSlicer-(\d+\.\d+\.\d\S*)",
+)  # fmt: skip
 
 # Larger side of the part as PrusaSlicer gets it, mm: between half of this and this. Its integers of 1e-6 mm have 32 bits
 WORKING_SIZE = 128.0
@@ -79,9 +75,8 @@ class Prusa:
 
     def error_bound_mm(self, part: Part, settings: BackendSettings) -> float:
         """Return 0.87 pixels and the rounding of coordinates to 32 bits, mm."""
-        return CONTOUR_REACH * pixel_mm(
-            part, PrusaSettings.own(settings, self.name)
-        ) + 4.0 * lattices.coordinate_rounding_mm(part)
+        pixel = pixel_mm(part, PrusaSettings.own(settings, self.name))
+        return CONTOUR_REACH * pixel + 4.0 * lattices.coordinate_rounding_mm(part)
 
     def height_bound_mm(self, part: Part, settings: BackendSettings) -> float:
         """Return the rounding of heights to 32 bits and to steps of 1e-6 of PrusaSlicer's mm."""
@@ -144,14 +139,8 @@ def _cut(part: Part, settings: PrusaSettings, lattice: Lattice) -> Layers:
 
 # Command line; with it the part stays where the file puts it
 ARGUMENTS = (
-    "--datadir=.",
-    "--loglevel=0",
-    "--export-sla",
-    "--load=printer.ini",
-    "--dont-arrange",
-    "--output=part.sl1",
-    "part.stl",
-)
+    "--datadir=.", "--loglevel=0", "--export-sla", "--load=printer.ini", "--dont-arrange", "--output=part.sl1", "part.stl",
+)  # fmt: skip
 
 
 def _printer(layer: float, pixel: float, pixels: tuple[int, int]) -> str:

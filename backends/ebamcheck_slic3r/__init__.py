@@ -25,13 +25,9 @@ from ebamcheck.slicers.outside.lattices import Lattice, LatticeStack, Placement,
 from ebamcheck.threads import thread_count
 
 PROGRAM = Program(
-    name="Slic3r",
-    command="slic3r",
-    variable="EBAMCHECK_SLIC3R",
-    package="slic3r",
-    version_arguments=("--version",),
-    version_pattern=r"(\d+\.\d+\.\d\S*)",
-)
+    name="Slic3r", command="slic3r", variable="EBAMCHECK_SLIC3R", package="slic3r",
+    version_arguments=("--version",), version_pattern=r"(\d+\.\d+\.\d\S*)",
+)  # fmt: skip
 
 # Larger side of the part as Slic3r gets it, mm, or half of it: far below its 64-bit integers of 1e-6 mm, which offsets multiply by 1e5
 WORKING_SIZE = 2.0**20
@@ -99,18 +95,10 @@ def _cut(part: Part, settings: ProgramSettings, lattice: Lattice) -> Layers:
 def _arguments() -> list[str]:
     """Command line; the nozzle diameter matters only in that it must exceed the layer height."""
     return [
-        "--no-gui",
-        "--datadir=.",
-        "--export-svg",
-        f"--first-layer-height={LAYER}",
-        f"--layer-height={LAYER}",
-        f"--nozzle-diameter={2.0 * LAYER}",
-        "--resolution=0",
-        "--print-center=0,0",
-        f"--threads={thread_count()}",
-        "--output=part.svg",
-        "part.stl",
-    ]
+        "--no-gui", "--datadir=.", "--export-svg", f"--first-layer-height={LAYER}", f"--layer-height={LAYER}",
+        f"--nozzle-diameter={2.0 * LAYER}", "--resolution=0", "--print-center=0,0", f"--threads={thread_count()}",
+        "--output=part.svg", "part.stl",
+    ]  # fmt: skip
 
 
 # Unit of heights in the file, mm: Slic3r wrongly divides them by a million, as if they were its integers

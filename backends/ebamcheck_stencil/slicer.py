@@ -14,7 +14,7 @@ from ebamcheck.backend import BackendSettings, CoplanarRule, Prepared, Probe, la
 from ebamcheck.errors import BackendMissing, SettingsError
 from ebamcheck.kernels import ShortInts
 from ebamcheck.mesh.part import Part
-from ebamcheck.mesh.topology import direction_balance, edge_groups, weld
+from ebamcheck.mesh.topology import components, direction_balance, edge_groups, weld
 from ebamcheck.settings.base import Between
 from ebamcheck_stencil import opengl
 from ebamcheck_stencil.field_of_view import SUBPIXELS, WORD_BITS, FieldOfView, field_of_view
@@ -202,21 +202,15 @@ def capped(part: Part) -> Part:
     edges = border(part.faces)
     if not len(edges):
         return part
-    from scipy.sparse import coo_array  # slow to import, and only open meshes need it
-    from scipy.sparse.csgraph import connected_components
-
     used, local = np.unique(edges, return_inverse=True)
     local = local.reshape(-1, 2)
-    graph = coo_array((np.ones(len(local)), (local[:, 0], local[:, 1])), shape=(len(used), len(used)))
-    count, opening = connected_components(graph, directed=False)
+    opening = components(len(used), *local.T)
     sizes = np.bincount(opening)
     points = part.vertices[used]
     reference = points[0]
-    middles = np.column_stack(
-        [np.bincount(opening, points[:, axis] - reference[axis]) / sizes for axis in range(3)]
-    )
+    middles = np.column_stack([np.bincount(opening, column) / sizes for column in (points - reference).T])
     # Rounding must not move a middle outside the heights of its border.
-    lowest, highest = np.full(count, np.inf), np.full(count, -np.inf)
+    lowest, highest = np.full(sizes.size, np.inf), np.full(sizes.size, -np.inf)
     np.minimum.at(lowest, opening, points[:, 2])
     np.maximum.at(highest, opening, points[:, 2])
     middles += reference

@@ -30,8 +30,7 @@ TYPES = {name: pa.int64() for name in ("layer", "ring", "closed")} | {
 
 
 def stack_of_rings(heights: Floats, ring_layer: Ints, sizes: Ints, closed: Bools, points: Floats) -> Layers:
-    """Stack of the rings of a file, in any order: layer, number of points and whether closed (R,) of each, and all their points (N,
-    2), mm."""
+    """Stack of rings in any order: layer, number of points and whether closed (R,) of each, and all points (N, 2), mm."""
     order = np.argsort(ring_layer, kind="stable")
     rows = np.argsort(np.repeat(ring_layer, sizes), kind="stable")
     layer_starts = starts_of(np.bincount(ring_layer, minlength=len(heights)))
@@ -39,8 +38,7 @@ def stack_of_rings(heights: Floats, ring_layer: Ints, sizes: Ints, closed: Bools
 
 
 def write_csv(layers: Layers, path: str | Path) -> None:
-    """Write the contours as CSV, with the shortest digits that read back to the same bits; a layer without any has one row, without
-    a ring."""
+    """Write the contours as CSV with digits that read back to the same bits; an empty layer has one row without a ring."""
     sizes, layer = np.diff(layers.ring_starts), layers.ring_layer
     empty = np.flatnonzero(np.diff(layers.layer_starts) == 0)
     where = np.concatenate([np.repeat(layer, sizes), empty])
@@ -193,8 +191,7 @@ def write_part(part: Part, path: str | Path) -> None:
 
 
 def write_vtp(layers: Layers, path: str | Path) -> None:
-    """Write every contour as a polyline at its height, appended in base64 so that the file is XML throughout, with ``layer`` (from
-    1), ``area_mm2`` and ``closed`` of each."""
+    """Write every contour as a polyline at its height, appended in base64, with ``layer`` (from 1), ``area_mm2`` and ``closed``."""
     sizes = np.diff(layers.ring_starts)
     heights = np.repeat(layers.heights[layers.ring_layer], sizes)
     # A closed line ends at the point where it starts.
@@ -210,8 +207,7 @@ def write_vtp(layers: Layers, path: str | Path) -> None:
 
 
 def read_vtp(path: str | Path) -> Layers:
-    """Read polylines at heights, from arrays as text or base64, appended or in place, without compression; a line that ends where
-    it starts is closed."""
+    """Read uncompressed polylines at heights, as text or base64; a line that ends where it starts is closed."""
     with _read_as(path, "VTK PolyData with contours at heights"):
         root = ElementTree.parse(path).getroot()
         if root.get("compressor") or root.get("type") != "PolyData":
@@ -333,8 +329,7 @@ def keeping_locale() -> Iterator[None]:
 
 
 def write_3mf(layers: Layers, path: str | Path) -> None:
-    """Write closed contours as slices (3MF Slice Extension 1.0), in 32-bit numbers, with the mesh of the part, or a box that is
-    told to be rough."""
+    """Write closed contours as slices (3MF Slice Extension 1.0), in 32-bit numbers, with the part's mesh or a rough box."""
     import lib3mf
 
     bottom, tops = slice_heights(layers)

@@ -12,8 +12,7 @@ INSIDE_RULE = "odd"  # inside rule that such a slicer declares
 
 
 def directed_by_nesting(layers: Layers, tolerance_mm: float, name: str) -> Layers:
-    """Orient rings by nesting, and refuse those that cross by more than a tolerance: nothing shows what is solid where shells
-    overlap."""
+    """Orient rings by nesting; rings that cross by more than a tolerance are refused, as they do not show the solid."""
     _refuse_crossing(layers, tolerance_mm, name)
     return oriented_by_nesting(layers)
 

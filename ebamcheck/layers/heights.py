@@ -100,8 +100,7 @@ def crossing_counts(part: Part, heights: ArrayLike) -> Ints:
 
 
 def layer_blocks(part: Part, heights: ArrayLike, most_points: int) -> Ints:
-    """Borders (B + 1,) from 0 to L of blocks of layers, of at most so many points (one a cut facet) or of one layer; ``[0, 0]``
-    without a layer."""
+    """Borders (B + 1,), 0 to L, of blocks of layers of at most so many points (one a cut facet), or of one layer."""
     ends = np.cumsum(crossing_counts(part, heights))
     borders = [0]
     while borders[-1] < ends.size:
@@ -123,8 +122,7 @@ def cut_heights(part: Part, config: Config) -> Floats:
 
 
 def heights_within(part: Part, heights: ArrayLike, named: str) -> Floats:
-    """Return heights that all cut the part, its lowest point (the section is that at z = h + 0) and its highest among them; `named`
-    tells who gave them."""
+    """Return heights from the part's lowest point (cut at z = h + 0) to its highest, as `named` in the error otherwise."""
     column = checked_heights(heights)
     low, high = part.bounds[:, 2].tolist()
     outside = np.flatnonzero((column < low) | (column > high))

@@ -308,8 +308,7 @@ class Layers(LayerColumns[Layer]):
         return range(int(self.layer_starts[layer]), int(self.layer_starts[layer + 1]))
 
     def polygons(self, layer: int) -> list[shapely.Polygon]:
-        """Solid regions of a layer as valid shapely polygons with holes: within outer rings where the winding number by the rings
-        around is over 0."""
+        """Solid regions of a layer, where the winding number is over 0, as valid shapely polygons with holes."""
         import shapely
 
         from ebamcheck.geometry.regions import valid_polygons
@@ -393,8 +392,7 @@ def canonical(
     edge_t: Floats | None = None,
     **labels: Any,
 ) -> Layers:
-    """Bring raw rings, columns as of :class:`Layers` in any order within a layer, into canonical form; directions stay, rings
-    without area go (`dropped`)."""
+    """Bring raw rings, in any order within a layer, into canonical form; rings without area are `dropped`."""
     heights = np.ascontiguousarray(heights, dtype=np.float64)
     points = np.ascontiguousarray(points, dtype=np.float64).reshape(-1, 2)
     ring_starts = np.ascontiguousarray(ring_starts, dtype=np.int64)

@@ -1,5 +1,4 @@
-"""Pictures of layers as self-contained SVG, y up, reduced to what a screen shows: one layer, an overlay of several slicers, or a
-sheet of layers."""
+"""Pictures of layers as self-contained SVG, reduced to what a screen shows: one layer, an overlay, or a sheet of layers."""
 
 from __future__ import annotations
 
@@ -79,8 +78,7 @@ def overlay_svg(
     box: Box | None = None,
     title: str | None = None,
 ) -> str:
-    """Draw one layer of several slicers on top of each other, each with its own colour and dash, and a legend; see
-    :func:`layer_svg`."""
+    """Draw one layer of several slicers as in :func:`layer_svg`, each with its own colour and dash, and a legend."""
     if not stacks:
         raise SettingsError("no stacks to draw over each other: give at least one")
     chosen = [(layers, index_of(layer, len(layers))) for layers in stacks.values()]
@@ -99,8 +97,7 @@ def overlay_svg(
 def sheet_svg(
     layers: Layers, *, width_px: int = 1200, columns: int = 4, most: int = 16, exact: bool = False
 ) -> str:
-    """Draw up to `most` layers side by side at one scale; `exact` holds all contours of all layers with every digit, those not
-    chosen hidden."""
+    """Draw up to `most` layers side by side at one scale; `exact` holds all contours with every digit, the others hidden."""
     if not len(layers):
         raise SettingsError("no layers to draw: the stack is empty")
     count = min(most, len(layers))

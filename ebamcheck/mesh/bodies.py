@@ -11,7 +11,15 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from ebamcheck.kernels import Bools, Floats, Ints, kernel
-from ebamcheck.mesh.topology import EdgeGroups, Index, body_labels, direction_balance, duplicates, edge_groups
+from ebamcheck.mesh.topology import (
+    EdgeGroups,
+    Index,
+    body_labels,
+    components,
+    direction_balance,
+    duplicates,
+    edge_groups,
+)
 
 if TYPE_CHECKING:
     from manifold3d import Manifold
@@ -265,18 +273,13 @@ class _Look:
 
     def _volume(self, inside: Ints, overlapping: Ints) -> float | None:
         """Volume of the places with a winding number over 0; None where it is not found."""
-        from scipy.sparse import coo_array  # which loads when it is needed
-        from scipy.sparse.csgraph import connected_components
-
         sign = np.sign(self.volumes).astype(np.int64)
         outer = np.bincount(inside[:, 0], sign[inside[:, 1]], self.count).astype(np.int64)
         # A surface counts where the winding number changes between 0 and more.
         counts = (outer + sign > 0).astype(np.int64) - (outer > 0)
         cluster = np.full(self.count, -1)
         if overlapping.size:
-            a, b = np.concatenate([inside, overlapping]).T
-            graph = coo_array((np.ones(len(a)), (a, b)), (self.count, self.count))
-            _, joined = connected_components(graph, directed=False)
+            joined = components(self.count, *np.concatenate([inside, overlapping]).T)
             cut = np.isin(joined, joined[overlapping[:, 0]])
             cluster[cut] = joined[cut]
         volume = float((counts * np.abs(self.volumes))[cluster < 0].sum())
@@ -329,8 +332,7 @@ class _Look:
 
 
 def boxes_meeting(lower: Floats, upper: Floats, deep_mm: float) -> Ints:
-    """Pairs (N, 2) of boxes by their corners (B, 3), the later one first, that share more than a depth; all, or over
-    :data:`MOST_PAIRS`."""
+    """Pairs (N, 2) of boxes (B, 3), the later first, that share more than a depth: all, or over :data:`MOST_PAIRS`."""
     import shapely
 
     boxes = np.asarray(shapely.box(*lower[:, :2].T, *upper[:, :2].T), object)
@@ -360,18 +362,13 @@ def _layers(solids: list[Manifold], count: int) -> list[Manifold]:
 
 def windings(points: Floats, corners: Floats, at: Ints, facet: Ints) -> Ints:
     """Winding number (N,) at points: facets over it that look up, less those that look down; of pairs of a point and a facet."""
-    p, (a, b, c) = points[at], np.moveaxis(corners[facet], 1, 0)
-    s = np.stack(
-        [
-            (v[:, 0] - u[:, 0]) * (p[:, 1] - u[:, 1]) - (v[:, 1] - u[:, 1]) * (p[:, 0] - u[:, 0])
-            for u, v in ((b, c), (c, a), (a, b))
-        ],
-        axis=1,
-    )
+    (x, y, z), (a, b, c) = points[at].T, np.moveaxis(corners[facet], 1, 0)
+    sides = ((u.T, v.T) for u, v in ((b, c), (c, a), (a, b)))
+    s = np.stack([(v[0] - u[0]) * (y - u[1]) - (v[1] - u[1]) * (x - u[0]) for u, v in sides], axis=1)
     whole = s.sum(axis=1)
     over = ((s > 0.0).all(axis=1) | (s < 0.0).all(axis=1)) & (whole != 0.0)
     above = np.zeros(len(at), np.bool_)
-    above[over] = (s[over] * corners[facet[over], :, 2]).sum(axis=1) / whole[over] > p[over, 2]
+    above[over] = (s[over] * corners[facet[over], :, 2]).sum(axis=1) / whole[over] > z[over]
     return np.bincount(at[above], np.sign(whole[above]), len(points)).astype(np.int64)
 
 

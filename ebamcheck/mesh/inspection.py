@@ -126,8 +126,7 @@ def inspect(part: Part) -> Inspection:
 def defects(
     part: Part, groups: EdgeGroups, lower_mm: float = -np.inf, upper_mm: float = np.inf
 ) -> tuple[dict[str, int], Index]:
-    """Figures of the vertices, edges and facets with their lowest point at ``lower_mm <= z < upper_mm``; and facets at open
-    edges."""
+    """Counts of the vertices, edges and facets whose lowest point lies at ``lower_mm <= z < upper_mm``; facets at open edges."""
     z, faces = np.ascontiguousarray(part.vertices[:, 2]), part.faces
 
     def told(*corners: Index) -> Bools:
@@ -168,8 +167,7 @@ def inspection_of(
     relations: Sequence[Relation] = (),
     **of_bodies: Any,
 ) -> Inspection:
-    """Inspection by the figures of :func:`defects` and those of the bodies, of which each encloses one of the signed volumes
-    (B,)."""
+    """Inspection by the counts of :func:`defects`, the signed volumes (B,) of the bodies, and other figures of them."""
     found = Inspection(
         name=part.name,
         size_mm=tuple(part.size.tolist()),
@@ -223,8 +221,7 @@ def _judged(found: Inspection, unpaired: int, enclosed_mm3: float) -> tuple[Verd
 
 
 def fix_orientation(part: Part) -> tuple[Part, int]:
-    """Reverse facets until neighbours agree, then closed inside-out bodies that are no cavities; returns the part and the number
-    reversed."""
+    """Reverse facets until neighbours agree and closed bodies face outwards; returns the part and how many were reversed."""
     groups = edge_groups(part.faces, len(part.vertices))
     flip = _consistent_flips(part.faces, groups.half_edges, groups.starts)
     faces = np.where(flip[:, None], part.faces[:, ::-1], part.faces)

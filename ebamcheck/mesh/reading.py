@@ -1,5 +1,4 @@
-"""What the readers of mesh files share: formats that are not read, polygons as triangles, and the refusal of numbers that are
-none."""
+"""Shared by the readers of mesh files: formats that are not read, polygons as triangles, and the refusal of no numbers."""
 
 from __future__ import annotations
 
@@ -93,8 +92,7 @@ def polygon_corners(
 
 
 def checked_finite(corners: Corners, name: str, first: int = 0) -> Corners:
-    """Return corner points (F, 3, 3) unchanged; raises :class:`InputError` with the place if one is not finite; `first` is the
-    first facet."""
+    """Return finite corner points (F, 3, 3) unchanged; else :class:`InputError` names the place, counted from facet `first`."""
     wrong = np.argwhere(~np.isfinite(corners))
     if len(wrong):
         facet, corner, axis = wrong[0]

@@ -43,8 +43,7 @@ FOREIGN = (
 
 
 def read_triangles(data: bytes | memoryview, name: str) -> tuple[NDArray[np.float32], list[str]]:
-    """Corner points of the facets of an STL file, (F, 3, 3) in its unit, in 32 bits also of an ASCII file, and harmless
-    irregularities."""
+    """Corner points of the facets of an STL file, (F, 3, 3) in its unit, and harmless irregularities."""
     if not data:
         raise InputError(f"{name}: is empty (0 bytes)")
     head = bytes(data[:HEADER_BYTES])
@@ -69,8 +68,7 @@ def binary_count(head: bytes) -> int:
 
 
 def checked_count(head: bytes, size: int, name: str, blank: bool = False) -> tuple[int, list[str]]:
-    """Number of facets of a binary file of so many bytes, of which those behind the last facet may be `blank`, and harmless
-    irregularities."""
+    """Number of facets of a binary file, whose bytes behind the last may be `blank`, and harmless irregularities."""
     count = binary_count(head)
     more = size - HEADER_BYTES - FACET_BYTES * count
     if size < HEADER_BYTES:
@@ -107,8 +105,7 @@ def facet_corners(facets: NDArray[np.uint16], name: str, first: int = 0) -> NDAr
 
 
 def looks_like_ascii(data: bytes) -> bool:
-    """Whether the first line opens a solid, as many binary headers do, and the next word is one that may follow in an ASCII
-    file."""
+    """Whether the first line opens a solid, as many binary headers do, and the next word may follow in an ASCII file."""
     text = data.removeprefix(BYTE_ORDER_MARK)
     return bool(_ASCII_START.match(text)) or (
         len(data) < HEADER_BYTES and text.lstrip()[:5].lower() == b"solid"
@@ -116,8 +113,7 @@ def looks_like_ascii(data: bytes) -> bool:
 
 
 def _names_ended(data: bytes) -> bytes:
-    """Mark the end of a solid's name, in a text of the same length, where a ``facet normal`` with a number follows on the same
-    line."""
+    """Mark the end of a solid's name where ``facet normal`` with a number follows on the same line; the length stays."""
     return _SOLID_BEHIND.sub(b"\\1\x0b", _NAME_END.sub(b"\\1\x0b", data))
 
 
@@ -272,8 +268,7 @@ TITLE_BYTES = 80
 
 
 def write_triangles(triangles: NDArray[np.floating], path: Path, name: str = "") -> None:
-    """Write triangles (F, 3, 3), mm, rounded to 32 bits, with their unit normals, 0 where there is no area; equal parts give equal
-    bytes."""
+    """Write triangles (F, 3, 3), mm, in 32 bits, with their unit normals, 0 without area; equal parts give equal bytes."""
     facets = np.zeros(len(triangles), FACET)
     facets["corners"] = triangles
     corners = facets["corners"].astype(np.float64)

@@ -178,23 +178,21 @@ def pair_fan(vertices: Floats, faces: Index, fan: Index, result: Index) -> None:
 
 
 def split_corners(faces: Index, twin: Index) -> Index:
-    """Number the corners of facets (F, 3) so that two share a number only where neighbours by `twin` of one direction do: bodies
-    come apart."""
+    """Number the corners of facets (F, 3) by body: two share a number only where `twin` makes them neighbours."""
     corners = faces.ravel()
     h = np.flatnonzero(twin > np.arange(twin.size))
     h = h[corners[h] != corners[twin[h]]]
     g = twin[h].astype(np.int64)
     after_h, after_g = (np.where(k % 3 == 2, k - 2, k + 1) for k in (h, g))
-    return _components(corners.size, np.concatenate([h, after_h]), np.concatenate([after_g, g])).reshape(
-        -1, 3
-    )
+    number = components(corners.size, np.concatenate([h, after_h]), np.concatenate([after_g, g]))
+    return number.reshape(-1, 3)
 
 
 def body_labels(faces: Index, groups: EdgeGroups) -> Index:
     """Body of each facet (F,): facets that share an edge are one body; -1 for degenerate facets."""
     facets = groups.half_edges // 3
     first = np.repeat(facets[groups.starts[:-1]], np.diff(groups.starts))
-    label = _components(len(faces), first.astype(np.int64), facets.astype(np.int64))
+    label = components(len(faces), first, facets)
     known = np.zeros(len(faces), np.bool_)
     known[facets] = True
     if known.all():
@@ -206,9 +204,13 @@ def body_labels(faces: Index, groups: EdgeGroups) -> Index:
     return label
 
 
+def components(count: int, a: NDArray[np.integer], b: NDArray[np.integer]) -> Index:
+    """Component (count,) of each item where items `a` and `b` (N,) hang together; numbered by their first items."""
+    return _components(count, *(np.ascontiguousarray(items, np.int64) for items in (a, b)))
+
+
 @kernel
 def _components(count: int, a: Ints, b: Ints) -> Index:
-    """Component (count,) of each item where items `a` and `b` (N,) hang together; numbered by their first items."""
     root = np.arange(count)
     for n in range(a.size):
         i, j = a[n], b[n]
@@ -265,8 +267,7 @@ Rows = ShortInts
 
 
 def weld(triangles: NDArray[np.float32] | Floats) -> tuple[Floats, ShortInts]:
-    """Merge corners (F, 3, 3) that are equal in all bits (0 and -0 are equal) to vertices (V, 3), by first appearance, and faces
-    (F, 3)."""
+    """Merge corners (F, 3, 3) of equal bits (0 and -0 are equal): vertices (V, 3) by first appearance, faces (F, 3)."""
     corners = np.ascontiguousarray(triangles).reshape(-1, 3)
     earliest = _earliest(corners)
     is_first = earliest == np.arange(len(earliest))

@@ -1,5 +1,4 @@
-"""Plugins of other distributions: what a process of their own found out about each, kept until their code changes, and their
-slicers as seen here."""
+"""Plugins of other distributions: answers of a process of their own, kept until their code changes; their slicers."""
 
 from __future__ import annotations
 
@@ -262,8 +261,7 @@ class StrangerSettings(BackendSettings):
 
 
 class StrangerSlicer(Attributes):
-    """What a slicer of another distribution has told of itself, a :class:`~ebamcheck.backend.Slicer` in form; its code runs
-    elsewhere."""
+    """A slicer of another distribution as it describes itself, in the form of a slicer; its code runs elsewhere."""
 
     answer: Answer
     point: Any  # its EntryPoint

@@ -23,16 +23,7 @@ from ebamcheck.backend import BackendSettings, Progress
 from ebamcheck.errors import BackendFailed, SettingsError
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
-from ebamcheck.plugins import registry
-from ebamcheck.plugins.processes import (
-    LARGEST_SAID_BYTES,
-    code_in_words,
-    end_with_children,
-    has_ended,
-    last_words,
-    size_of,
-    started,
-)
+from ebamcheck.plugins import processes, registry
 from ebamcheck.scratch import scratch_folder
 from ebamcheck.slicers.outcome import Failure, NoEvent, bounds_fault, event_of, file_fault, probe_of
 from ebamcheck.slicers.outcome import Limits as Limits
@@ -142,7 +133,7 @@ def slice_all(
                 _listen(running, progress)
                 for worker in list(running):
                     _enforce(worker, limits)
-                    if has_ended(worker.process):
+                    if processes.has_ended(worker.process):
                         running.remove(worker)
                         outcomes[worker.name] = _collect(worker, part, heights, limits)
         finally:
@@ -157,7 +148,7 @@ def _listen(running: Sequence[Worker], progress: Callable[[str, int], None] | No
             selector.register(worker.events, selectors.EVENT_READ, worker)
         ready = [key.data for key, _ in selector.select(POLL_S)]
     # Each of them is heard, however much one tells.
-    silent = [has_ended(worker.process) or not _take_in(worker, progress) for worker in ready]
+    silent = [processes.has_ended(worker.process) or not _take_in(worker, progress) for worker in ready]
     if ready and all(silent):
         time.sleep(POLL_S)  # A closed pipe is always ready; its worker is about to end.
 
@@ -192,8 +183,8 @@ def _enforce(worker: Worker, limits: Limits) -> None:
         worker.lose("out of memory", OVER_MEMORY.format(resident, limits.memory_mb))
     elif time.monotonic() - worker.started > limits.time_s:
         worker.lose("timed out", f"took over {limits.time_s:g} s (slicing.time_limit_s)")
-    elif size_of(worker.errors) > LARGEST_SAID_BYTES:
-        worker.lose("crashed", f"wrote over {LARGEST_SAID_BYTES // 1_000_000} MB to the terminal")
+    elif processes.size_of(worker.errors) > processes.LARGEST_SAID_BYTES:
+        worker.lose("crashed", f"wrote over {processes.LARGEST_SAID_BYTES // 1_000_000} MB to the terminal")
 
 
 def _resident_mb(worker: Worker) -> float:
@@ -250,11 +241,11 @@ def _failure(worker: Worker, part: Part, heights: NDArray[np.float64]) -> tuple[
     if "failure" in told:
         return told["failure"], told["why"]
     if code < 0:
-        ended = code_in_words(code)
+        ended = processes.code_in_words(code)
         kind: Failure = "killed" if ended.split()[-1] in KILLS else "crashed"
-        return kind, f"its process was ended {ended}{last_words(worker.errors)}"
+        return kind, f"its process was ended {ended}{processes.last_words(worker.errors)}"
     if code > 0 or not (told.get("written") or worker.bounds_only):
-        return "crashed", f"its process ended with code {code}{last_words(worker.errors)}"
+        return "crashed", f"its process ended with code {code}{processes.last_words(worker.errors)}"
     fault = bounds_fault(told, float(part.size.max()))
     if not fault and not worker.bounds_only:
         fault = file_fault(worker.file, part, heights, whole=worker.stranger)
@@ -313,7 +304,7 @@ class Worker:
 
     def end(self) -> None:
         """End the process and everything that it started; of one that has ended, what it has left behind."""
-        end_with_children(self.process, self.mark if self.stranger else "")
+        processes.end_with_children(self.process, self.mark if self.stranger else "")
 
     def close(self) -> None:
         """Close the pipes to the process."""
@@ -330,8 +321,7 @@ class Worker:
 
 
 class WorkerPool:
-    """Workers, those of backends in `ahead` started at once, and the folder where they find their work; who got no order is ended
-    with it."""
+    """Workers, those of backends in `ahead` started at once, and their folder; those without an order end with it."""
 
     def __init__(self, ahead: Iterable[str] = ()) -> None:
         self._opened = ExitStack()
@@ -365,13 +355,12 @@ class WorkerPool:
         errors, own = self.folder / f"stderr-{self._count}", self.folder / f"tmp-{self._count}"
         own.mkdir()
         arguments = ["ebamcheck.slicers.worker", name, str(write)]
-        process, mark = started(arguments, own, errors, stdin=subprocess.PIPE, pass_fds=(write,))
+        process, mark = processes.started(arguments, own, errors, stdin=subprocess.PIPE, pass_fds=(write,))
         os.close(write)
         os.set_blocking(read, False)
         return Worker(name, process, os.fdopen(read, "rb", buffering=0), errors, mark=mark)
 
 
 def longest_first(names: Iterable[str]) -> list[str]:
-    """Slicers in the order in which they begin: those that are not exact cast rays and take longest, so that what ends last is
-    short."""
+    """Slicers in the order in which they begin: those that are not exact cast rays and take longest."""
     return sorted(names, key=lambda name: registry.slicer(name).exact)

@@ -1,5 +1,4 @@
-"""What becomes of a backend that slices: its file of layers and figures, or why it has none; events of a worker, and the form of
-layers, checked."""
+"""Outcome of a backend that slices: its file and figures, or its failure; checks of a worker's events and layers."""
 
 from __future__ import annotations
 
@@ -122,8 +121,7 @@ def event_of(line: bytes) -> dict[str, Any]:
 
 
 def bounds_fault(told: Mapping[str, Any], extent_mm: float) -> str:
-    """What is wrong with declared bounds, in one line; empty if nothing: within a bound like the part's extent all is a section of
-    it."""
+    """Fault of declared bounds, in one line; empty if there is none: a bound like the part's extent promises nothing."""
     for word, what in (("error_bound_mm", "error bound"), ("height_bound_mm", "height bound")):
         value = float(told.get(word, math.nan))
         said = f"it declares {'an' if what[0] == 'e' else 'a'} {what} of {value:g} mm"
@@ -158,8 +156,7 @@ def form_fault(layers: object, part: Part, heights: NDArray[np.float64]) -> str:
 
 
 def file_fault(file: Path, part: Part, heights: NDArray[np.float64], whole: bool) -> str:
-    """What is wrong with a worker's file of layers, in one line; empty if nothing. With `whole` every layer is read: a stranger is
-    not believed."""
+    """Fault of a worker's file of layers, in one line; empty if there is none. Of a stranger the `whole` file is read."""
     try:
         with LayerFile(file) as stack:
             if stack.part != part.sha256:
@@ -178,15 +175,8 @@ def file_fault(file: Path, part: Part, heights: NDArray[np.float64], whole: bool
 
 
 def _column_faults(layers: Layers) -> Iterable[str]:
-    kinds = {
-        "heights": "float64",
-        "points": "float64",
-        "ring_starts": "int64",
-        "layer_starts": "int64",
-        "closed": "bool",
-        "dropped": "int64",
-    }
-    for name, kind in kinds.items():
+    integers = dict.fromkeys(("ring_starts", "layer_starts", "dropped"), "int64")
+    for name, kind in {"heights": "float64", "points": "float64", "closed": "bool", **integers}.items():
         column: Any = getattr(layers, name)
         if not isinstance(column, np.ndarray):
             yield f"{name} is {type(column).__name__}, not an array"
