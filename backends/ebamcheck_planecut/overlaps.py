@@ -30,8 +30,7 @@ class OverlapSearch(NamedTuple):
     ways: NDArray[np.uint8]  # (2 M,) directions of the segments of each node
     ring: ShortInts  # (2 M,) ring of each node, or `SEVERAL_RINGS`
     first: Ints  # (M + 1,) first segment of each leaf, by the row of its first point; the leaf ends where the next begins
-    # Pairs of nodes waiting to be tested, and whether one follows the other along its ring
-    stack: ShortInts
+    stack: ShortInts  # pairs of nodes waiting to be tested, and whether one follows the other along its ring
     # Segments that come this near to each other meet: what rounding may have moved them apart
     reach_mm: float
     outward: Ints  # (R,) +1 for an outer ring, -1 for a hole

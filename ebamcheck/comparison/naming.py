@@ -1,10 +1,10 @@
-"""Naming of disagreements: each gets its place, its likely cause and a remedy."""
+"""Disagreements of slicers by name: each with its place, its systematic or likely cause, and a remedy."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any
 
@@ -14,28 +14,27 @@ from numpy.typing import NDArray
 
 from ebamcheck.comparison import place_causes as local
 from ebamcheck.comparison import whole_causes as systematic
-from ebamcheck.comparison.diagnosis import cause_of, diagnose
+from ebamcheck.comparison.fit_causes import (
+    GROUPS,
+    FieldFit,
+    Fitted,
+    coarse_grid,
+    field_cause,
+    other_rule,
+    turned_over,
+    wrong_unit,
+)
 from ebamcheck.comparison.outline import outline
 from ebamcheck.comparison.pairwise import GENERIC
 from ebamcheck.comparison.place_causes import MeshFlaws, Place, declared_doubt, likely_cause
-from ebamcheck.comparison.sheets import Reader
+from ebamcheck.comparison.sheets import Reader, Sheet, sample, total_mm2
 from ebamcheck.comparison.sources import LayerSource
-from ebamcheck.comparison.whole_causes import Cause
-from ebamcheck.kernels import Floats
+from ebamcheck.comparison.whole_causes import Cause, layer_causes, ring_causes
+from ebamcheck.kernels import Floats, Ints
 from ebamcheck.mesh.part import Part
 
 Columns = Mapping[str, NDArray[Any]]
-
-
-@dataclass(frozen=True)
-class Differing:
-    """A slicer that differs from another on a layer, with the figures of the pair."""
-
-    layer: int
-    backend: str
-    against: str
-    columns: Columns
-    is_second: bool  # whether the slicer that differs is the second one of the pair
+Readers = tuple[Reader, Reader]  # of the slicer that differs, and of the other
 
 
 def named_findings(
@@ -51,89 +50,74 @@ def named_findings(
     `tables` has the figures of each pair of stacks, in the order of their combinations; `consensus` the members of the
     consensus of each layer, as indices of `stacks`.
     """
-    flaws, names = MeshFlaws(part), list(stacks)
+    flaws, names, readers = MeshFlaws(part), list(stacks), [Reader(stack) for stack in stacks.values()]
     columns = [{name: rows[name].to_numpy() for name in rows.columns} for rows in tables]
-    pairs: dict[tuple[str, str], list[Differing]] = {}
-    every = list(_differing(names, columns, consensus, verdicts))
-    for one in every:
-        pairs.setdefault((one.backend, one.against), []).append(one)
-    causes = {key: _diagnosed(pair, stacks, heights, flaws) for key, pair in pairs.items()}
-    namer = _Namer(flaws, stacks)
-    findings = [namer.named(one, causes[one.backend, one.against]) for one in every]
-    findings += [
-        _empty_finding(flaws, names, layer, float(heights[layer]), columns)
-        for layer, verdict in enumerate(verdicts)
-        if verdict == EMPTY
-    ]
-    return iter(sorted(findings, key=lambda f: f.layer))
-
-
-def _differing(
-    names: list[str], tables: list[Columns], consensus: list[tuple[int, ...]], verdicts: list[str]
-) -> Iterator[Differing]:
-    """Every slicer that differs from another one, layer by layer."""
+    findings: list[tuple[int, int, Disagreement]] = []  # with layer and pair, by which they are sorted
+    differing: dict[
+        tuple[int, int, int], list[int]
+    ] = {}  # layers by pair, slicer that differs, and the other
     for layer, (members, verdict) in enumerate(zip(consensus, verdicts, strict=True)):
+        if verdict == EMPTY:
+            findings.append((layer, 0, _empty_finding(flaws, names, layer, float(heights[layer]), columns)))
         if verdict not in (OUTLIER, UNDECIDED):
             continue
-        for (i, j), columns in zip(combinations(range(len(names)), 2), tables, strict=True):
-            if not columns["gated"][layer] or columns["agrees"][layer]:
+        for p, (i, j) in enumerate(combinations(range(len(names)), 2)):
+            if not columns[p]["gated"][layer] or columns[p]["agrees"][layer]:
                 continue
             if members and i not in members and j not in members:
                 continue  # two outliers: each is named against the consensus
             backend, against = (j, i) if i in members else (i, j)
-            yield Differing(layer, names[backend], names[against], columns, i in members)
+            differing.setdefault((p, backend, against), []).append(layer)
+    for (p, backend, against), layers in differing.items():
+        pair, both = (names[backend], names[against]), (readers[backend], readers[against])
+        order = ("b", "a") if backend > against else ("a", "b")
+        causes = _diagnosed(columns[p], order, layers, heights, both, flaws)
+        findings += [(k, p, _named(columns[p], k, pair, both, causes, flaws)) for k in layers]
+    return iter([finding for _, _, finding in sorted(findings, key=lambda found: found[:2])])
 
 
 def _diagnosed(
-    pair: Sequence[Differing], stacks: Mapping[str, LayerSource], heights: Floats, flaws: MeshFlaws
-) -> tuple[Cause, ...]:
-    """Find the systematic causes of a pair; none where planes pass through vertices only, which is then the common cause.
+    columns: Columns, order: tuple[str, str], layers: list[int], heights: Floats, readers: Readers, flaws: MeshFlaws
+) -> tuple[Cause, ...]:  # fmt: skip
+    """Systematic causes of a pair; none where planes pass through vertices only, which is then the common cause.
 
-    Layers with open paths are left out: their common cause is a mesh that is not closed.
+    Layers with open paths are left out: their common cause is a mesh that is not closed. `order` names the columns of both.
     """
-    columns, order = pair[0].columns, ("b", "a") if pair[0].is_second else ("a", "b")
     open_paths = columns["open_a"] + columns["open_b"]
-    closed = np.array([one.layer for one in pair if not open_paths[one.layer]], np.int64)
+    closed = np.array([layer for layer in layers if not open_paths[layer]], np.int64)
     if not (columns["class"][closed] == GENERIC).any():
         return ()
     areas = np.array([columns[f"area_{which}_mm2"] for which in order])
     rings = np.array([columns[f"rings_{which}"] for which in order])
-    x, y, _ = flaws.part.bounds.mean(axis=0).tolist()
-    a, b = stacks[pair[0].backend], stacks[pair[0].against]
-    return diagnose(a, b, closed, heights, areas, rings, flaws, (x, y))
+    return diagnose(readers, closed, heights, areas, rings, flaws)
 
 
-class _Namer:
-    """Names disagreements; reads the layers of both slicers if the mesh shows no cause."""
+def _named(
+    columns: Columns, layer: int, backends: tuple[str, str], readers: Readers, causes: tuple[Cause, ...],
+    flaws: MeshFlaws,
+) -> Disagreement:  # fmt: skip
+    """Name one disagreement of a pair; the layers of both are read if the mesh shows no cause."""
+    row = {name: values[layer] for name, values in columns.items()}
+    depth, limit, x_mm, y_mm, height_mm = (
+        float(row[name]) for name in ("depth_mm", "limit_mm", "depth_x_mm", "depth_y_mm", "height_mm")
+    )
+    rings, holes = (abs(int(row[f"{name}_a"]) - int(row[f"{name}_b"])) for name in ("rings", "holes"))
+    metric = ("depth", depth, limit) if depth > limit else ("topology", float(rings or holes), 0.0)
+    has_open = bool(row["open_a"] + row["open_b"] > 0)
+    place = Place(x_mm, y_mm, height_mm, depth, limit, str(row["class"]), has_open)
+    declared = [reader.source.settings for reader in readers]
+    finding = (layer, height_mm, *backends, *metric, x_mm, y_mm)
+    # The cause that explains most, of those that affect the layer.
+    cause = next((c for c in causes if c.layers is None or layer in c.layers), None)
+    if cause is not None and not (place.known and declared_doubt(place, declared)):
+        size = cause.size, cause.unit, cause.share
+        return Disagreement(*finding, cause.kind, cause.in_words(), *size, remedy(cause.kind, *backends))
 
-    def __init__(self, flaws: MeshFlaws, stacks: Mapping[str, LayerSource]) -> None:
-        self._flaws = flaws
-        self._declared = {name: stack.settings for name, stack in stacks.items()}
-        self._readers = {name: Reader(stack) for name, stack in stacks.items()}
+    def contours() -> list[Floats]:
+        return [outline(reader.layer(layer), 0, (0.0, 0.0)).segments for reader in readers]
 
-    def named(self, differing: Differing, causes: tuple[Cause, ...]) -> Disagreement:
-        """Name one disagreement of a pair."""
-        layer, backends = differing.layer, (differing.backend, differing.against)
-        row = {name: values[layer] for name, values in differing.columns.items()}
-        depth, limit, x_mm, y_mm, height_mm = (
-            float(row[name]) for name in ("depth_mm", "limit_mm", "depth_x_mm", "depth_y_mm", "height_mm")
-        )
-        rings, holes = (abs(int(row[f"{name}_a"]) - int(row[f"{name}_b"])) for name in ("rings", "holes"))
-        metric = ("depth", depth, limit) if depth > limit else ("topology", float(rings or holes), 0.0)
-        has_open = bool(row["open_a"] + row["open_b"] > 0)
-        place = Place(x_mm, y_mm, height_mm, depth, limit, str(row["class"]), has_open)
-        declared = [self._declared[name] for name in backends]
-        finding = (layer, height_mm, *backends, *metric, x_mm, y_mm)
-        cause = cause_of(causes, layer)
-        if cause is not None and not (place.known and declared_doubt(place, declared)):
-            size = cause.size, cause.unit, cause.share
-            return Disagreement(*finding, cause.kind, cause.in_words(), *size, remedy(cause.kind, *backends))
-
-        def contours() -> list[Floats]:
-            return [outline(self._readers[n].layer(layer), 0, (0.0, 0.0)).segments for n in backends]
-
-        likely = likely_cause(self._flaws, place, declared, contours)
-        return Disagreement(*finding, likely, likely, remedy=remedy(likely, *backends))
+    likely = likely_cause(flaws, place, declared, contours)
+    return Disagreement(*finding, likely, likely, remedy=remedy(likely, *backends))
 
 
 def _empty_finding(
@@ -147,6 +131,104 @@ def _empty_finding(
     backends = ",".join(names)
     finding = (layer, height_mm, backends, "part", "empty", 0.0, 0.0, x, y, cause, cause)
     return Disagreement(*finding, remedy=remedy(cause, backends, "part"))
+
+
+# -- Systematic causes of the difference of two slicers, each with its size and the share that it explains ------------
+
+ENOUGH = 0.9  # share of a difference from which a single cause is enough
+ALL = 0.98  # share of a difference from which a cause leaves nothing to look for
+# Least share of a difference that the causes together must explain to be named: noise, too, fits some cause by chance, and a scale
+# that explains 51 % fits a square that has lost a corner
+NAMED = 0.55
+LEAST = 0.1  # least share of a difference that one cause among several must explain
+AS_WELL = 0.01  # causes whose shares differ by less than this cannot be told apart on these layers
+LARGE = 1.5  # factor of size from which sections differ by their unit
+
+
+def diagnose(
+    readers: Readers, differing: Ints, heights: Floats, areas: Floats, rings: Ints, flaws: MeshFlaws
+) -> tuple[Cause, ...]:
+    """Systematic causes of the differences of one slicer from another, the one that explains most first; none for noise.
+
+    They differ on the layers `differing` (n,), rising; heights (L,), areas and numbers of closed rings (2, L) are of all layers, those
+    of the first slicer first. At most :data:`~ebamcheck.comparison.sheets.MOST_SHEETS` layers are examined.
+    """
+    x, y, _ = flaws.part.bounds.mean(axis=0).tolist()
+    solid = differing[rings[0, differing] > 0]
+    sheets = sample(solid, rings.sum(axis=0), heights, *readers, (x, y))
+    unit = _unit(sheets, flaws)
+    if unit is not None:
+        return (unit,)
+    causes, left = layer_causes(sheets, differing, areas, rings, readers[1])
+    remains = max(1.0 - sum(cause.share for cause in causes), 0.0)
+    if left and remains > LEAST:
+        step_mm = float(np.median(np.diff(heights))) if heights.size > 1 else 1.0
+        causes += [cause.scaled(remains) for cause in _in_sheets(left, flaws, step_mm)]
+    causes = sorted((c for c in causes if c.share >= LEAST), key=lambda c: -c.share)
+    return tuple(causes) if sum(c.share for c in causes) >= NAMED else ()
+
+
+def _unit(sheets: Sequence[Sheet], flaws: MeshFlaws) -> Cause | None:
+    """A mistaken unit of the whole part, which also changes the section at each height."""
+    solid = [sheet for sheet in sheets if sheet.both_solid]
+    areas = [[float(np.abs(stack.ring_areas).sum()) for stack in (sheet.a, sheet.b)] for sheet in solid]
+    ratios = [of_a / max(of_b, 1e-300) for of_a, of_b in areas]
+    if not ratios or 1.0 / LARGE < math.sqrt(float(np.median(ratios))) < LARGE:
+        return None
+    unit = wrong_unit(solid, flaws)
+    return unit if unit.share >= ENOUGH else None
+
+
+def _in_sheets(sheets: list[Sheet], flaws: MeshFlaws, step_mm: float) -> list[Cause]:
+    """Causes in whole rings, and in the position and size of contours."""
+    rule = other_rule(sheets, flaws)
+    if rule is not None and rule.share >= ENOUGH:
+        return [rule]
+    before = total_mm2(sheets)
+    causes, mended = ring_causes(sheets, LEAST)
+    remains = total_mm2(mended) / before if before > 0.0 else 0.0
+    solid = [sheet for sheet in mended if sheet.both_solid]
+    if remains > LEAST and solid:
+        causes += [cause.scaled(remains) for cause in _lying(solid, flaws, step_mm)]
+    return causes
+
+
+def _lying(sheets: list[Sheet], flaws: MeshFlaws, step_mm: float) -> list[Cause]:
+    """Causes in position and size of matching contours: the simplest of those that explain about as much."""
+    grid = coarse_grid(sheets)
+    if grid is not None and grid.share >= ENOUGH:
+        return [grid]
+    fits = FieldFit(sheets, flaws, step_mm).best(ENOUGH)
+    best = fits[0].share if fits else 0.0
+    others = [grid, turned_over(sheets), other_rule(sheets, flaws)] if best < ALL else [grid]
+    most = max((c for c in others if c is not None), key=lambda c: c.share, default=None)
+    if most is not None and most.share > best + AS_WELL:
+        return [most]
+    if best < LEAST:
+        return []
+    near = [f for f in fits if f.share >= best - AS_WELL]
+    fewest, plainest_first = min(len(f.names) for f in near), list(GROUPS)
+    near = [f for f in near if len(f.names) == fewest]
+    near.sort(key=lambda f: sum(map(plainest_first.index, f.names)))
+    origin_mm = sheets[0].origin_mm
+    first = _named(near[0], fits, origin_mm)
+    if fewest == 1:
+        # Scale and rotation include a translation: if that alone is enough, they are not causes.
+        other = [] if near[0].names == ("translation",) else near[1:]
+        also = tuple(_named(f, fits, origin_mm)[0].text for f in other)
+        first = [replace(first[0], also=also)]
+    return first
+
+
+def _named(fitted: Fitted, fits: Sequence[Fitted], origin_mm: tuple[float, float]) -> list[Cause]:
+    """Name the causes of a fit; of two, the stronger gets the share that it explains alone, if that is over half of it."""
+    alone = {f.names[0]: f.share for f in fits if len(f.names) == 1}
+    names = sorted(fitted.names, key=lambda n: -alone.get(n, 0.0))
+    shares = [fitted.share]
+    if len(names) == 2:
+        first = min(alone.get(names[0], 0.0), fitted.share)
+        shares = [first, fitted.share - first] if first > 0.5 * fitted.share else [0.5 * fitted.share] * 2
+    return [field_cause(name, fitted, share, origin_mm) for name, share in zip(names, shares, strict=True)]
 
 
 # -- Remedies for a disagreement, by its cause: a setting, another slicer, another direction, or a repair of the part

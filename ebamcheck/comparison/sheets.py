@@ -91,7 +91,7 @@ class Reader:
     """Single layers of a stack in memory or in a file, read a window at a time."""
 
     def __init__(self, source: LayerSource) -> None:
-        self._source = source
+        self.source = source
         self._first = -1
         self._window: Layers | None = None
 
@@ -99,7 +99,7 @@ class Reader:
         """One layer as a stack of its own."""
         first = layer - layer % WINDOW
         if self._window is None or first != self._first:
-            self._window = self._source.block(first, min(first + WINDOW, len(self._source)))
+            self._window = self.source.block(first, min(first + WINDOW, len(self.source)))
             self._first = first
         return self._window.block(layer - first, layer - first + 1)
 
