@@ -71,12 +71,8 @@ def _near_pairs(layers: Layers) -> tuple[Ints, Ints]:
     for apart in range(1, most):
         r = np.flatnonzero(layer[apart:] == layer[:-apart])
         s = r + apart
-        near = (
-            (boxes[r, :2] < boxes[s, 2:]).all(axis=1)
-            & (boxes[s, :2] < boxes[r, 2:]).all(axis=1)
-            & layers.closed[r]
-            & layers.closed[s]
-        )
+        near = (boxes[r, :2] < boxes[s, 2:]).all(axis=1) & (boxes[s, :2] < boxes[r, 2:]).all(axis=1)
+        near &= layers.closed[r] & layers.closed[s]
         found.append(np.stack([r[near], s[near]]))
     first, second = np.concatenate(found, axis=1)
     return first, second

@@ -79,10 +79,8 @@ def from_arrow(batch: pa.RecordBatch | pa.Table, where: str = "record batch") ->
     labels = labels_of(batch.schema, "layers", VERSION, LABELS, where)
     table = ReadTable(batch, where)
     with_edges = any(name in batch.schema.names for name in _EDGES)
-    columns, (layer_starts, ring_starts) = table.alike(
-        _POINTS | (_EDGES if with_edges else {}),
-        "column {name!r} does not have the rings and points of column {first!r}",
-    )
+    differs = "column {name!r} does not have the rings and points of column {first!r}"
+    columns, (layer_starts, ring_starts) = table.alike(_POINTS | (_EDGES if with_edges else {}), differs)
     points = np.empty((columns["x"].size, 2))
     points[:, 0], points[:, 1] = columns["x"], columns["y"]
     closed, (starts,) = table.nested("closed", _KINDS["closed"])

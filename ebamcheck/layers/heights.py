@@ -169,14 +169,9 @@ class LayerRule:
 
 
 def layer_rule(
-    part: Part,
-    cuts: Floats,
-    borders: Floats,
-    areas: Floats,
-    volumes: Floats,
-    least_face_mm2: float,
+    part: Part, cuts: Floats, borders: Floats, areas: Floats, volumes: Floats, least_face_mm2: float,
     allowed_mm: float = 0.0,
-) -> LayerRule:
+) -> LayerRule:  # fmt: skip
     """Hold layers of one section each against the solid; what lies under the lowest border counts neither here nor there.
 
     Layers are cut at `cuts` (L,), lie between `borders` (L + 1,), mm, and have sections of `areas` (L,), mm2; `volumes` (L + 1,) of
@@ -206,13 +201,10 @@ def layer_rule(
     added = plus + np.maximum(off - of_faces, 0.0)
     # A layer cannot add more than it has, nor leave out more than there is.
     added = np.clip(added, np.maximum(off, 0.0), np.maximum(np.minimum(laid, off + volumes[:-1]), 0.0))
-    lacking = added - off
-    return LayerRule(
-        whole,
-        float(np.maximum(added - wanted, 0.0).sum()),
-        float(lacking.sum() + volumes[-1]),
-        tuple(sorted(counted, key=lambda face: -abs(face.area_mm2 * face.added_mm))),
-    )
+    unwanted_mm3 = float(np.maximum(added - wanted, 0.0).sum())
+    lacking_mm3 = float((added - off).sum() + volumes[-1])
+    counted.sort(key=lambda face: -abs(face.area_mm2 * face.added_mm))
+    return LayerRule(whole, unwanted_mm3, lacking_mm3, tuple(counted))
 
 
 def level_faces(part: Part, least_mm2: float) -> list[LevelFace]:

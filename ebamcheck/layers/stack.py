@@ -73,11 +73,8 @@ class Layer:
     def rings(self) -> tuple[Ring, ...]:
         """Contours in their order in the stack."""
         stack, of = self.stack, self.stack.rings_of(self.index)
-        closed, areas, lengths = (
-            column[of.start : of.stop].tolist()
-            for column in (stack.closed, stack.ring_areas, stack.ring_lengths)
-        )
-        return tuple(map(Ring, map(stack.ring, of), closed, areas, lengths))
+        columns = stack.closed, stack.ring_areas, stack.ring_lengths
+        return tuple(map(Ring, map(stack.ring, of), *(c[of.start : of.stop].tolist() for c in columns)))
 
     @property
     def area_mm2(self) -> float:
@@ -104,21 +101,16 @@ class Layer:
         """Draw the contours on matplotlib axes, each kind of ring in its colour; `style` is of its lines."""
         from ebamcheck.showing.plotting import Lines, plot_lines
 
-        groups = [
-            Lines([_outline(ring) for ring in self.rings if ring.kind == kind], colour)
-            for kind, colour in KIND_COLOURS.items()
-        ]
+        of_kind = {kind: [_outline(r) for r in self.rings if r.kind == kind] for kind in KIND_COLOURS}
+        groups = [Lines(lines, KIND_COLOURS[kind]) for kind, lines in of_kind.items()]
         return plot_lines(groups, f"layer {self.index + 1}, z = {self.height_mm:.6g} mm", ax, **style)
 
     def __repr__(self) -> str:
         kinds = [ring.kind for ring in self.rings] if len(self) <= 1000 else []
-        return short_text.line(
-            f"Layer [{self.index}]",
-            f"z = {self.height_mm:.6g} mm",
-            *(f"{kinds.count(k)} {k}" for k in ("outer", "hole", "open path") if k in kinds),
-            "" if kinds else short_text.counted(len(self), "ring"),
-            f"{self.area_mm2:.6g} mm2",
-        )
+        counts = [f"{kinds.count(k)} {k}" for k in KIND_COLOURS if k in kinds]
+        counts = counts or [short_text.counted(len(self), "ring")]
+        name, z, area = f"Layer [{self.index}]", f"z = {self.height_mm:.6g} mm", f"{self.area_mm2:.6g} mm2"
+        return short_text.line(name, z, *counts, area)
 
     def _repr_html_(self) -> str:
         """Show the layer in a notebook."""
@@ -225,11 +217,8 @@ class Layers(LayerColumns[Layer]):
         """Draw every contour at its height, on three-dimensional matplotlib axes; `style` is of its lines."""
         from ebamcheck.showing.plotting import Lines, plot_in_space
 
-        lines = [
-            np.column_stack([outline, np.full(len(outline), layer.height_mm)])
-            for layer in self
-            for outline in map(_outline, layer)
-        ]
+        outlines = [(layer.height_mm, _outline(ring)) for layer in self for ring in layer]
+        lines = [np.column_stack([points, np.full(len(points), z_mm)]) for z_mm, points in outlines]
         title = short_text.counted(len(self), "layer")
         return plot_in_space(Lines(lines, KIND_COLOURS["outer"], 0.5), title, ax, **style)
 
@@ -317,12 +306,9 @@ class Layers(LayerColumns[Layer]):
         for r in self.rings_of(layer):
             if self.ring_areas[r] < 0 and self.parents[r] >= 0:
                 holes.setdefault(int(self.parents[r]), []).append(self.ring(r))
-        found = [
-            shapely.Polygon(self.ring(r), holes.get(r, []))
-            for r in self.rings_of(layer)
-            if self.ring_areas[r] > 0 and self._winding_inside(r) > 0
-        ]
-        return [part for polygon in found for part in valid_polygons(polygon)]
+        outer = [r for r in self.rings_of(layer) if self.ring_areas[r] > 0 and self._winding_inside(r) > 0]
+        polygons = [shapely.Polygon(self.ring(r), holes.get(r, [])) for r in outer]
+        return [part for polygon in polygons for part in valid_polygons(polygon)]
 
     def section(self, layer: int) -> BaseGeometry:
         """Solid region of a layer as one valid geometry, made anew each time: who prepares it shares it with nobody."""
@@ -403,11 +389,8 @@ def canonical(
     order, new_layer_starts = ring_order(points, layer_starts, forms)
     new_ring_starts = np.concatenate([[0], np.cumsum(forms[order, 1])])
     rows = np.empty(int(new_ring_starts[-1]), np.int64)
-    run_blocks(
-        lambda a, b: rows_in_form(points, ring_starts, forms, order, new_ring_starts, a, b, rows),
-        order.size,
-        RINGS_A_BLOCK,
-    )
+    columns = points, ring_starts, forms, order, new_ring_starts
+    run_blocks(lambda a, b: rows_in_form(*columns, a, b, rows), order.size, RINGS_A_BLOCK)
     return Layers(
         heights=heights,
         points=points[rows],

@@ -52,9 +52,8 @@ class Inspection:
     zero_area_facets: int
     inside_out_bodies: int
     open_bodies: int
-    relations: tuple[
-        Relation, ...
-    ]  # how bodies lie to each other: a hundred at most, those first of which something may be lost
+    # How bodies lie to each other: a hundred at most, those first of which something may be lost
+    relations: tuple[Relation, ...]
     related_bodies: int  # how many such relations there are
     union_known: bool  # whether `volume_mm3` is that of the union of all bodies, else it is their sum
     notes: tuple[str, ...]
@@ -150,23 +149,18 @@ def defects(
         "unpaired_edges": more_than_two & unpaired,
         "degenerate_facets": facet_told & repeated,
     }
-    flat = sum(
-        int((np.cross(q - p, r - p) == 0.0).all(axis=1).sum())
-        for start in range(0, len(faces), FACETS_AT_ONCE)
-        for rows in [slice(start, start + FACETS_AT_ONCE)]
-        for p, q, r in [np.moveaxis(part.vertices[faces[rows][whole[rows]]], 1, 0)]
-    )
+    flat = 0
+    for start in range(0, len(faces), FACETS_AT_ONCE):
+        rows = slice(start, start + FACETS_AT_ONCE)
+        p, q, r = np.moveaxis(part.vertices[faces[rows][whole[rows]]], 1, 0)
+        flat += int((np.cross(q - p, r - p) == 0.0).all(axis=1).sum())
     found = {name: int(np.count_nonzero(which)) for name, which in counts.items()}
     return {**found, "duplicate_facets": duplicates(faces[whole]), "zero_area_facets": flat}, facet[is_open]
 
 
 def inspection_of(
-    part: Part,
-    counts: Mapping[str, int],
-    volumes: Floats,
-    relations: Sequence[Relation] = (),
-    **of_bodies: Any,
-) -> Inspection:
+    part: Part, counts: Mapping[str, int], volumes: Floats, relations: Sequence[Relation] = (), **of_bodies: Any
+) -> Inspection:  # fmt: skip
     """Inspection by the counts of :func:`defects`, the signed volumes (B,) of the bodies, and other figures of them."""
     found = Inspection(
         name=part.name,
@@ -187,37 +181,30 @@ def inspection_of(
 
 
 def _judged(found: Inspection, unpaired: int, enclosed_mm3: float) -> tuple[Verdict, str]:
-    """Verdict on the figures of a part, with the reason; `unpaired` edges of more than two facets do not pair up."""
-    if found.open_edges:
-        return "open", (
-            f"{found.open_edges} open edges in {found.open_bodies} of {found.bodies} bodies: "
-            "sections have open paths and no certain inside; close the mesh"
-            + ("; the volume is negative as well: the part is inside-out" if found.volume_mm3 < 0 else "")
-        )
-    if found.inconsistent_edges:
-        return "inconsistent", (
-            f"{found.inconsistent_edges} edges whose two facets run the same way: some facets are flipped; "
-            "turn them in the model, or use --fix-orientation"
-        )
-    if unpaired:
-        return (
-            "non-manifold",
-            f"{unpaired} edges whose facets do not pair up in opposite directions: mend the model",
-        )
-    if enclosed_mm3 <= NO_VOLUME * max(found.size_mm) ** 3:
-        return "flat", f"its facets enclose no volume ({found.volume_mm3:.3g} mm3): there is nothing to build"
-    if found.inside_out_bodies:
-        return "inside-out", (
-            f"{found.inside_out_bodies} of {found.bodies} closed bodies have negative volume "
-            f"(in all {found.volume_mm3:.6g} mm3): every facet faces inwards; turn them in the model, or use --fix-orientation"
-        )
+    """First verdict that applies, with the reason; `unpaired` edges of more than two facets do not pair up."""
+    negative = "; the volume is negative as well: the part is inside-out" if found.volume_mm3 < 0 else ""
     box_mm3 = float(np.prod(found.size_mm))
-    if found.volume_mm3 > (1.0 + 1e-9) * box_mm3:  # over the rounding of a block
-        return "overlapping", (
-            f"its facets enclose {found.volume_mm3:.6g} mm3 in a box of {box_mm3:.6g} mm3: bodies or walls stand in one another; "
-            "unite them in the model"
-        )
-    return "sound", "closed, consistently oriented, volume positive"
+    faults: tuple[tuple[bool, Verdict, str], ...] = (
+        (found.open_edges > 0, "open",
+         (f"{found.open_edges} open edges in {found.open_bodies} of {found.bodies} bodies: "
+         f"sections have open paths and no certain inside; close the mesh{negative}")),
+        (found.inconsistent_edges > 0, "inconsistent",
+         (f"{found.inconsistent_edges} edges whose two facets run the same way: some facets are flipped; "
+         "turn them in the model, or use --fix-orientation")),
+        (unpaired > 0, "non-manifold",
+         f"{unpaired} edges whose facets do not pair up in opposite directions: mend the model"),
+        (enclosed_mm3 <= NO_VOLUME * max(found.size_mm) ** 3, "flat",
+         f"its facets enclose no volume ({found.volume_mm3:.3g} mm3): there is nothing to build"),
+        (found.inside_out_bodies > 0, "inside-out",
+         (f"{found.inside_out_bodies} of {found.bodies} closed bodies have negative volume (in all {found.volume_mm3:.6g} mm3): "
+         "every facet faces inwards; turn them in the model, or use --fix-orientation")),
+        # Over the rounding of a block.
+        (found.volume_mm3 > (1.0 + 1e-9) * box_mm3, "overlapping",
+         (f"its facets enclose {found.volume_mm3:.6g} mm3 in a box of {box_mm3:.6g} mm3: bodies or walls stand in one another; "
+         "unite them in the model")),
+    )  # fmt: skip
+    faulty = next(((verdict, why) for wrong, verdict, why in faults if wrong), None)
+    return faulty or ("sound", "closed, consistently oriented, volume positive")
 
 
 def fix_orientation(part: Part) -> tuple[Part, int]:

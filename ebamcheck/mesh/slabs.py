@@ -216,11 +216,8 @@ class Division:
             vertices *= self.file.millimetres
         box = self.file.outline.vertices
         cones = closing_cones(vertices, faces, lower - self.reach_mm, upper + self.reach_mm)
-        part = replace(
-            self.file.outline,
-            vertices=np.concatenate([vertices, box]),
-            faces=np.ascontiguousarray(np.concatenate([faces, cones])),
-        )
+        joined = np.ascontiguousarray(np.concatenate([faces, cones]))
+        part = replace(self.file.outline, vertices=np.concatenate([vertices, box]), faces=joined)
         own = replace(part, vertices=part.vertices[: len(vertices)], faces=part.faces[: len(faces)])
         return Slab(part, own, numbers, lower, upper, upper - self.reach_mm)
 

@@ -22,9 +22,8 @@ _ASCII_START = re.compile(rb"\s*solid[^\r\n]*[\r\n]\s*(facet|endsolid)\s", re.IG
 _FACET_BEHIND = rb"(?=facet[ \t]+normal[ \t]+(?:[-+.\d]|nan))"
 _ONE_LINE = re.compile(rb"\s*solid\b[^\r\n]*?[ \t]" + _FACET_BEHIND, re.IGNORECASE)
 _NAME_END = re.compile(rb"(\bsolid\b[^\r\n]*?)[ \t]" + _FACET_BEHIND, re.IGNORECASE)
-_SOLID_BEHIND = re.compile(
-    rb"(\bendsolid\b[^\r\n]*?)[ \t](?=solid\b[^\r\n]*?[ \t]" + _FACET_BEHIND + rb")", re.IGNORECASE
-)
+_SOLID_FACET = rb"solid\b[^\r\n]*?[ \t]" + _FACET_BEHIND
+_SOLID_BEHIND = re.compile(rb"(\bendsolid\b[^\r\n]*?)[ \t](?=" + _SOLID_FACET + rb")", re.IGNORECASE)
 
 # First bytes of other files that people save as .stl, with what to tell them
 FOREIGN = (
@@ -107,9 +106,8 @@ def facet_corners(facets: NDArray[np.uint16], name: str, first: int = 0) -> NDAr
 def looks_like_ascii(data: bytes) -> bool:
     """Whether the first line opens a solid, as many binary headers do, and the next word may follow in an ASCII file."""
     text = data.removeprefix(BYTE_ORDER_MARK)
-    return bool(_ASCII_START.match(text)) or (
-        len(data) < HEADER_BYTES and text.lstrip()[:5].lower() == b"solid"
-    )
+    is_short = len(data) < HEADER_BYTES and text.lstrip()[:5].lower() == b"solid"
+    return is_short or bool(_ASCII_START.match(text))
 
 
 def _names_ended(data: bytes) -> bytes:
