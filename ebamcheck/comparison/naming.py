@@ -211,16 +211,16 @@ def _lying(sheets: list[Sheet], flaws: MeshFlaws, step_mm: float) -> list[Cause]
     near = [f for f in near if len(f.names) == fewest]
     near.sort(key=lambda f: sum(map(plainest_first.index, f.names)))
     origin_mm = sheets[0].origin_mm
-    first = _named(near[0], fits, origin_mm)
+    first = _fitted_causes(near[0], fits, origin_mm)
     if fewest == 1:
         # Scale and rotation include a translation: if that alone is enough, they are not causes.
         other = [] if near[0].names == ("translation",) else near[1:]
-        also = tuple(_named(f, fits, origin_mm)[0].text for f in other)
+        also = tuple(_fitted_causes(f, fits, origin_mm)[0].text for f in other)
         first = [replace(first[0], also=also)]
     return first
 
 
-def _named(fitted: Fitted, fits: Sequence[Fitted], origin_mm: tuple[float, float]) -> list[Cause]:
+def _fitted_causes(fitted: Fitted, fits: Sequence[Fitted], origin_mm: tuple[float, float]) -> list[Cause]:
     """Name the causes of a fit; of two, the stronger gets the share that it explains alone, if that is over half of it."""
     alone = {f.names[0]: f.share for f in fits if len(f.names) == 1}
     names = sorted(fitted.names, key=lambda n: -alone.get(n, 0.0))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, overload
@@ -327,34 +327,32 @@ class Layers(LayerColumns[Layer]):
     def take(self, layers: ArrayLike) -> Layers:
         """Select layers by index, in the order given (repeats allowed)."""
         wanted = np.asarray(layers, dtype=np.int64).reshape(-1)
-        ring_index, layer_starts = _expand(self.layer_starts, wanted)
-        rows, ring_starts = _expand(self.ring_starts, ring_index)
-        return replace(
-            self,
-            heights=self.heights[wanted],
-            points=self.points.take(rows, axis=0),  # many times faster than fancy indexing of rows
-            ring_starts=ring_starts,
-            layer_starts=layer_starts,
-            closed=self.closed[ring_index],
-            edge=None if self.edge is None else self.edge.take(rows, axis=0),
-            edge_t=None if self.edge_t is None else self.edge_t[rows],
-            dropped=self.dropped[wanted],
-        )
+        rings, layer_starts = _expand(self.layer_starts, wanted)
+        rows, ring_starts = _expand(self.ring_starts, rings)
+        # Many times faster than fancy indexing of rows.
+        return self._chosen(wanted, rings, lambda c: c.take(rows, axis=0), ring_starts, layer_starts)
 
     def block(self, start: int, stop: int) -> Layers:
         """Layers ``start .. stop - 1``, as views where possible."""
         a, b = int(self.layer_starts[start]), int(self.layer_starts[stop])
         p, q = int(self.ring_starts[a]), int(self.ring_starts[b])
+        ring_starts, layer_starts = self.ring_starts[a : b + 1] - p, self.layer_starts[start : stop + 1] - a
+        return self._chosen(slice(start, stop), slice(a, b), lambda c: c[p:q], ring_starts, layer_starts)
+
+    def _chosen(
+        self, layers: Any, rings: Any, rows: Callable[[Any], Any], ring_starts: Ints, layer_starts: Ints
+    ) -> Layers:
+        """Some layers, rings and rows of points, under the starts that they then have."""
         return replace(
             self,
-            heights=self.heights[start:stop],
-            points=self.points[p:q],
-            ring_starts=self.ring_starts[a : b + 1] - p,
-            layer_starts=self.layer_starts[start : stop + 1] - a,
-            closed=self.closed[a:b],
-            edge=None if self.edge is None else self.edge[p:q],
-            edge_t=None if self.edge_t is None else self.edge_t[p:q],
-            dropped=self.dropped[start:stop],
+            heights=self.heights[layers],
+            points=rows(self.points),
+            ring_starts=ring_starts,
+            layer_starts=layer_starts,
+            closed=self.closed[rings],
+            edge=None if self.edge is None else rows(self.edge),
+            edge_t=None if self.edge_t is None else rows(self.edge_t),
+            dropped=self.dropped[layers],
         )
 
     def labelled(self, **labels: Any) -> Layers:

@@ -56,11 +56,9 @@ MODIFIERS = {
 }  # fmt: skip
 # Metadata of objects by which Cura says the same
 CURA = {
-    "cura:support_mesh": "support",
-    "cura:anti_overhang_mesh": "support blocker",
-    "cura:infill_mesh": "modifier",
+    "cura:support_mesh": "support", "cura:anti_overhang_mesh": "support blocker", "cura:infill_mesh": "modifier",
     "cura:cutting_mesh": "modifier",
-}
+}  # fmt: skip
 Key = tuple[str, str]  # an object: its model part, in lower case, and its number there
 
 

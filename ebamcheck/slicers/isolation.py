@@ -17,10 +17,10 @@ from typing import IO, TYPE_CHECKING, Any, Self
 
 import numpy as np
 import psutil
-from numpy.typing import NDArray
 
 from ebamcheck.backend import BackendSettings, Progress
 from ebamcheck.errors import BackendFailed, SettingsError
+from ebamcheck.kernels import Floats, Ints
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
 from ebamcheck.plugins import processes, registry
@@ -49,13 +49,9 @@ FLOOD_BYTES, FLOOD_BYTES_S = 4_000_000, 100_000
 
 
 def slice_isolated(
-    name: str,
-    part: Part,
-    heights: NDArray[np.float64],
-    settings: BackendSettings,
-    limits: Limits | None = None,
+    name: str, part: Part, heights: Floats, settings: BackendSettings, limits: Limits | None = None,
     progress: Progress | None = None,
-) -> Layers:
+) -> Layers:  # fmt: skip
     """Slice with one backend in a process of its own; raises what its outcome says."""
     told = None if progress is None else (lambda _, done: progress(done))
     with scratch_folder() as folder:
@@ -88,12 +84,12 @@ def declared_bounds(
 
 def slice_all(
     part: Part,
-    heights: NDArray[np.float64],
+    heights: Floats,
     backends: Mapping[str, BackendSettings],
     target: Path,
     limits: Limits = DEFAULT_LIMITS,
     progress: Callable[[str, int], None] | None = None,
-    borders: NDArray[np.int64] | None = None,
+    borders: Ints | None = None,
     pool: WorkerPool | None = None,
     keep_blocks: bool = False,
     bounds_only: bool = False,
@@ -200,25 +196,19 @@ def _resident_mb(worker: Worker) -> float:
     return float(total) / 1e6
 
 
-def _collect(worker: Worker, part: Part, heights: NDArray[np.float64], limits: Limits) -> Outcome:
+def _collect(worker: Worker, part: Part, heights: Floats, limits: Limits) -> Outcome:
     """Turn an ended worker into its outcome; nothing that it has left behind runs on."""
     worker.end()
     while _take_in(worker, None):
         pass
     worker.close()
     told = worker.told
-    bounds: dict[str, Any] = {
-        name: float(told[name])
-        for name in ("error_bound_mm", "height_bound_mm")
-        if abs(told.get(name, math.inf)) < math.inf
-    }
-    outcome = Outcome(
-        worker.name,
-        probe=probe_of(told),
-        peak_mb=max(worker.peak_mb, told.get("peak_mb", 0.0)),
-        **bounds,
-        **{name: told[name] for name in FIGURES if name in told},
-    )
+    figures = {name: told[name] for name in FIGURES if name in told}
+    for name in ("error_bound_mm", "height_bound_mm"):
+        if abs(told.get(name, math.inf)) < math.inf:
+            figures[name] = float(told[name])
+    peak_mb = max(worker.peak_mb, told.get("peak_mb", 0.0))
+    outcome = Outcome(worker.name, probe=probe_of(told), peak_mb=peak_mb, **figures)
     failure, why = _failure(worker, part, heights)
     if not failure and outcome.peak_mb > limits.memory_mb:
         # It came to its end between two looks.
@@ -233,7 +223,7 @@ def _collect(worker: Worker, part: Part, heights: NDArray[np.float64], limits: L
     return replace(outcome, failure=failure, why=why)
 
 
-def _failure(worker: Worker, part: Part, heights: NDArray[np.float64]) -> tuple[Failure, str]:
+def _failure(worker: Worker, part: Part, heights: Floats) -> tuple[Failure, str]:
     """What became of an ended worker, and why; nothing where its layers are good."""
     told, code = worker.told, worker.process.returncode
     if worker.failure:

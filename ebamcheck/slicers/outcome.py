@@ -109,9 +109,8 @@ def event_of(line: bytes) -> dict[str, Any]:
         _Event.model_validate(event)
     except ValidationError as error:
         word = str(error.errors()[0]["loc"][0])
-        raise NoEvent(
-            f"told {one_line(word, 40)} = {one_line(repr(event[word]), 60)}, which is no word of a worker"
-        ) from None
+        told = f"told {one_line(word, 40)} = {one_line(repr(event[word]), 60)}"
+        raise NoEvent(f"{told}, which is no word of a worker") from None
     for word in ("why", "unwritable"):
         if word in event:
             event[word] = one_line(event[word], LONGEST_TEXT)
@@ -196,10 +195,8 @@ def _height_faults(layers: Layers, heights: NDArray[np.float64]) -> Iterable[str
 
 
 def _ring_faults(layers: Layers) -> Iterable[str]:
-    for name, starts, past in (
-        ("ring_starts", layers.ring_starts, len(layers.points)),
-        ("layer_starts", layers.layer_starts, layers.closed.size),
-    ):
+    for name, past in (("ring_starts", len(layers.points)), ("layer_starts", layers.closed.size)):
+        starts = getattr(layers, name)
         if not starts.size or starts[0] != 0 or starts[-1] != past or (np.diff(starts) < 0).any():
             yield f"{name} does not rise from 0 to {past}"
             return
@@ -222,10 +219,9 @@ def _value_faults(layers: Layers, part: Part) -> Iterable[str]:
     wrong = np.argwhere(~(np.abs(layers.points) <= largest))  # NaN among them
     if len(wrong):
         row, axis = wrong[0]
-        yield (
-            f"point {row}, {'xy'[axis]} is {layers.points[row, axis]}; the part lies from "
-            f"{part.bounds[0, axis]:g} to {part.bounds[1, axis]:g} mm"
-        )
+        low, high = part.bounds[:, axis]
+        where = f"point {row}, {'xy'[axis]} is {layers.points[row, axis]}"
+        yield f"{where}; the part lies from {low:g} to {high:g} mm"
 
 
 def _edge_faults(layers: Layers, part: Part) -> Iterable[str]:
