@@ -97,16 +97,11 @@ class Comparison:
 
 
 def compare_all(
-    stacks: Mapping[str, LayerSource],
-    part: Part,
-    bounds: Bounds,
-    exact: Mapping[str, bool],
-    rules: Mapping[str, str],
-    settings: ComparisonSettings | None = None,
-    progress: Callable[[int], None] | None = None,
-    borders: Ints | None = None,
+    stacks: Mapping[str, LayerSource], part: Part, bounds: Bounds, exact: Mapping[str, bool],
+    rules: Mapping[str, str], settings: ComparisonSettings | None = None,
+    progress: Callable[[int], None] | None = None, borders: Ints | None = None,
     evidence: EvidenceRule = EVERY_AGREEMENT,
-) -> Comparison:
+) -> Comparison:  # fmt: skip
     """Compare all stacks, of the same part at the same heights, pairwise and find on each layer who agrees with whom.
 
     By backend: `bounds` are its error and height bounds, mm; `exact` whether its contours are those of the mesh to rounding;
@@ -182,10 +177,8 @@ def _measured(
             tables[p].append(rows.assign(layer=rows["layer"] + first))
         for column, layers in zip(figures, block, strict=True):
             column.append(contour_figures(layers))
-    joined_tables, joined_figures = (
-        [pd.concat(rows, ignore_index=True) for rows in every] for every in (tables, figures)
-    )
-    return joined_tables, joined_figures
+    first, second = ([pd.concat(rows, ignore_index=True) for rows in every] for every in (tables, figures))
+    return first, second
 
 
 def _verdicts(

@@ -13,8 +13,7 @@ import pandas as pd
 import shapely
 
 from ebamcheck.comparison.pairwise import Pair, compare
-from ebamcheck.comparison.sheets import Reader
-from ebamcheck.comparison.sources import LayerSource
+from ebamcheck.comparison.sources import LayerSource, Reader
 from ebamcheck.kernels import Floats
 from ebamcheck.layers.stack import Layers, from_polygons
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -17,18 +17,9 @@ import numpy as np
 from ebamcheck.comparison import whole_causes as systematic
 from ebamcheck.comparison.outline import outline, windings
 from ebamcheck.comparison.place_causes import MeshFlaws
-from ebamcheck.comparison.sheets import (
-    Sheet,
-    along,
-    beside,
-    from_origin,
-    gap_mm2,
-    mesh_contours,
-    ring_segments,
-    share_explained,
-)
 from ebamcheck.comparison.sweep import overlap
-from ebamcheck.comparison.whole_causes import Cause
+from ebamcheck.comparison.whole_causes import Cause, Sheet, from_origin, ring_segments
+from ebamcheck.geometry.nearest import distances
 from ebamcheck.kernels import Bools, Floats, Ints
 
 MOST_STEPS = 30  # most steps of the fit
@@ -66,9 +57,8 @@ class FieldFit:
         self.step_mm = step_mm
         self.places = [along(sheet.contours_a) for sheet in sheets]
         self.longest_mm = max([1e-300, *(length_mm for _, length_mm in self.places)])
-        self._cut = cache(
-            lambda k, dz_mm: mesh_contours(flaws, sheets[k].height_mm + dz_mm, sheets[k].origin_mm)
-        )
+        z_mm, origins = [sheet.height_mm for sheet in sheets], [sheet.origin_mm for sheet in sheets]
+        self._cut = cache(lambda k, dz_mm: mesh_contours(flaws, z_mm[k] + dz_mm, origins[k]))
         self.apart_mm2 = self._left_mm2(np.zeros(6), False)
 
     def best(self, enough: float) -> list[Fitted]:
@@ -153,10 +143,8 @@ class FieldFit:
 
     def _left_mm2(self, q: Floats, cut_again: bool) -> float:
         """Area between the contours that differ and those predicted, mm2."""
-        return sum(
-            gap_mm2(sheet.contours_a, contours, float(q[D]), self.size_mm)
-            for sheet, contours in zip(self.sheets, self._predicted(q, cut_again), strict=True)
-        )
+        both = zip(self.sheets, self._predicted(q, cut_again), strict=True)
+        return sum(gap_mm2(sheet.contours_a, b, float(q[D]), self.size_mm) for sheet, b in both)
 
 
 def moved(contours: Floats, q: Floats) -> Floats:
@@ -175,6 +163,61 @@ def centroid(contours: Iterable[Floats]) -> tuple[Floats, float]:
         total += 0.5 * float(cross.sum())
         moment += [float(((x0 + x1) * cross).sum()) / 6.0, float(((y0 + y1) * cross).sum()) / 6.0]
     return (moment / total if total else moment), total
+
+
+# -- Areas between contours by distances, which a fit can follow --------------------------------------------------
+
+PLACES = 160  # places along the contours of a sheet at which distances are taken
+MOST_SEGMENTS = 4000  # most segments whose winding numbers on both sides are computed, in quadratic time
+ASIDE = 1e-6  # distance beside a segment, over its length, at which the winding number is computed
+
+
+def along(contours: Floats) -> tuple[Floats, float]:
+    """Places (N, 2) at equal steps along all contours, and the length that each represents, mm."""
+    ends = contours[:, 2:] - contours[:, :2]
+    extent = np.hypot(ends[:, 0], ends[:, 1])
+    reach = np.cumsum(extent)
+    total = float(reach[-1]) if reach.size else 0.0
+    if not total > 0.0:
+        return np.zeros((0, 2)), 0.0
+    at = (np.arange(PLACES) + 0.5) / PLACES * total
+    s = np.minimum(np.searchsorted(reach, at, side="right"), len(contours) - 1)
+    t = 1.0 - (reach[s] - at) / np.maximum(extent[s], np.finfo(np.float64).tiny)
+    return contours[s, :2] + t[:, None] * ends[s], total / PLACES
+
+
+def beside(contours: Floats, places: Floats) -> Floats:
+    """Distances (N,) mm of places (N, 2) from contours, negative inside the solid; infinite where there are none."""
+    contours, places = np.ascontiguousarray(contours), np.ascontiguousarray(places)
+    return np.where(windings(contours, places) > 0, -1.0, 1.0) * distances(places, contours)
+
+
+def gap_mm2(a: Floats, b: Floats, offset_mm: float = 0.0, farthest_mm: float = math.inf) -> float:
+    """Area between contours `a` and `b`, the latter offset outward: distances, at most the farthest, times lengths."""
+    total = 0.0
+    for one, other, outward_mm in ((a, b, -offset_mm), (b, a, offset_mm)):
+        places, length_mm = along(one)
+        apart = np.abs(beside(other, places) + outward_mm)
+        total += 0.5 * length_mm * float(np.minimum(apart, farthest_mm).sum())
+    return total
+
+
+def share_explained(sheets: Sequence[Sheet], guess: Callable[[Sheet], Floats]) -> float:
+    """Share of the difference that is explained if these are the contours (S, 4) of the slicer that differs, 0 .. 1."""
+    before = sum(gap_mm2(sheet.contours_a, sheet.contours_b) for sheet in sheets)
+    after = sum(gap_mm2(sheet.contours_a, guess(sheet)) for sheet in sheets)
+    return max(1.0 - after / before, 0.0) if before > 0.0 else 0.0
+
+
+def mesh_contours(flaws: MeshFlaws, height_mm: float, origin_mm: tuple[float, float]) -> Floats:
+    """Section of the mesh, from an origin; where bodies overlap, without the segments that lie inside another body."""
+    segments = from_origin(flaws.section(height_mm), origin_mm)
+    if flaws.bodies > 1 and len(segments) <= MOST_SEGMENTS:
+        middle, way = 0.5 * (segments[:, :2] + segments[:, 2:]), segments[:, 2:] - segments[:, :2]
+        aside = ASIDE * np.column_stack([-way[:, 1], way[:, 0]])
+        left, right = windings(segments, middle + aside) > 0, windings(segments, middle - aside) > 0
+        segments = segments[left != right]
+    return segments
 
 
 def field_cause(name: str, fitted: Fitted, share: float, origin_mm: tuple[float, float]) -> Cause:
@@ -335,10 +378,8 @@ def other_rule(sheets: Sequence[Sheet], flaws: MeshFlaws) -> Cause | None:
 
 def coarse_grid(sheets: Sequence[Sheet]) -> Cause | None:
     """Coordinates rounded to a grid, or to single precision, where those of the other slicer are not."""
-    values, other = (
-        np.unique(np.concatenate([np.zeros((0, 2)), *(stack.points for stack in stacks)]))
-        for stacks in ([sheet.a for sheet in sheets], [sheet.b for sheet in sheets])
-    )
+    values = np.unique(np.concatenate([sheet.a.points for sheet in sheets]))
+    other = np.unique(np.concatenate([sheet.b.points for sheet in sheets]))
     if values.size < GRID_POINTS:
         return None
 
@@ -396,3 +437,49 @@ def _on_grid(values: Floats, step: float, first: float) -> bool:
     """Whether values lie on a grid through one of them."""
     count = (values - first) / step
     return bool((np.abs(count - np.round(count)) <= GRID_SHARE).all())
+
+
+# -- The simplest causes that explain about as much as any --------------------------------------------------------
+
+ENOUGH = 0.9  # share of a difference from which a single cause is enough
+ALL = 0.98  # share of a difference from which a cause leaves nothing to look for
+LEAST = 0.1  # least share of a difference that one cause among several must explain
+AS_WELL = 0.01  # causes whose shares differ by less than this cannot be told apart on these layers
+
+
+def contour_causes(sheets: list[Sheet], flaws: MeshFlaws, step_mm: float) -> list[Cause]:
+    """Causes in position and size of matching contours: the simplest of those that explain about as much."""
+    grid = coarse_grid(sheets)
+    if grid is not None and grid.share >= ENOUGH:
+        return [grid]
+    fits = FieldFit(sheets, flaws, step_mm).best(ENOUGH)
+    best = fits[0].share if fits else 0.0
+    others = [grid, turned_over(sheets), other_rule(sheets, flaws)] if best < ALL else [grid]
+    most = max((c for c in others if c is not None), key=lambda c: c.share, default=None)
+    if most is not None and most.share > best + AS_WELL:
+        return [most]
+    if best < LEAST:
+        return []
+    near = [f for f in fits if f.share >= best - AS_WELL]
+    fewest, plainest_first = min(len(f.names) for f in near), list(GROUPS)
+    near = [f for f in near if len(f.names) == fewest]
+    near.sort(key=lambda f: sum(map(plainest_first.index, f.names)))
+    origin_mm = sheets[0].origin_mm
+    first = _fitted_causes(near[0], fits, origin_mm)
+    if fewest == 1:
+        # Scale and rotation include a translation: if that alone is enough, they are not causes.
+        other = [] if near[0].names == ("translation",) else near[1:]
+        also = tuple(_fitted_causes(f, fits, origin_mm)[0].text for f in other)
+        first = [replace(first[0], also=also)]
+    return first
+
+
+def _fitted_causes(fitted: Fitted, fits: Sequence[Fitted], origin_mm: tuple[float, float]) -> list[Cause]:
+    """Name the causes of a fit; of two, the stronger gets the share that it explains alone, if that is over half of it."""
+    alone = {f.names[0]: f.share for f in fits if len(f.names) == 1}
+    names = sorted(fitted.names, key=lambda n: -alone.get(n, 0.0))
+    shares = [fitted.share]
+    if len(names) == 2:
+        first = min(alone.get(names[0], 0.0), fitted.share)
+        shares = [first, fitted.share - first] if first > 0.5 * fitted.share else [0.5 * fitted.share] * 2
+    return [field_cause(name, fitted, share, origin_mm) for name, share in zip(names, shares, strict=True)]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
 
@@ -14,22 +14,12 @@ from numpy.typing import NDArray
 
 from ebamcheck.comparison import place_causes as local
 from ebamcheck.comparison import whole_causes as systematic
-from ebamcheck.comparison.fit_causes import (
-    GROUPS,
-    FieldFit,
-    Fitted,
-    coarse_grid,
-    field_cause,
-    other_rule,
-    turned_over,
-    wrong_unit,
-)
+from ebamcheck.comparison.fit_causes import ENOUGH, LEAST, contour_causes, other_rule, wrong_unit
 from ebamcheck.comparison.outline import outline
 from ebamcheck.comparison.pairwise import GENERIC
 from ebamcheck.comparison.place_causes import MeshFlaws, Place, declared_doubt, likely_cause
-from ebamcheck.comparison.sheets import Reader, Sheet, sample, total_mm2
-from ebamcheck.comparison.sources import LayerSource
-from ebamcheck.comparison.whole_causes import Cause, layer_causes, ring_causes
+from ebamcheck.comparison.sources import LayerSource, Reader
+from ebamcheck.comparison.whole_causes import Cause, Sheet, layer_causes, ring_causes, sample, total_mm2
 from ebamcheck.kernels import Floats, Ints
 from ebamcheck.mesh.part import Part
 
@@ -38,13 +28,9 @@ Readers = tuple[Reader, Reader]  # of the slicer that differs, and of the other
 
 
 def named_findings(
-    part: Part,
-    stacks: Mapping[str, LayerSource],
-    tables: list[pd.DataFrame],
-    heights: Floats,
-    consensus: list[tuple[int, ...]],
-    verdicts: list[str],
-) -> Iterator[Disagreement]:
+    part: Part, stacks: Mapping[str, LayerSource], tables: list[pd.DataFrame], heights: Floats,
+    consensus: list[tuple[int, ...]], verdicts: list[str],
+) -> Iterator[Disagreement]:  # fmt: skip
     """Every disagreement on the layers on which not all slicers agree, in the order of layers.
 
     `tables` has the figures of each pair of stacks, in the order of their combinations; `consensus` the members of the
@@ -135,13 +121,9 @@ def _empty_finding(
 
 # -- Systematic causes of the difference of two slicers, each with its size and the share that it explains ------------
 
-ENOUGH = 0.9  # share of a difference from which a single cause is enough
-ALL = 0.98  # share of a difference from which a cause leaves nothing to look for
 # Least share of a difference that the causes together must explain to be named: noise, too, fits some cause by chance, and a scale
 # that explains 51 % fits a square that has lost a corner
 NAMED = 0.55
-LEAST = 0.1  # least share of a difference that one cause among several must explain
-AS_WELL = 0.01  # causes whose shares differ by less than this cannot be told apart on these layers
 LARGE = 1.5  # factor of size from which sections differ by their unit
 
 
@@ -151,7 +133,7 @@ def diagnose(
     """Systematic causes of the differences of one slicer from another, the one that explains most first; none for noise.
 
     They differ on the layers `differing` (n,), rising; heights (L,), areas and numbers of closed rings (2, L) are of all layers, those
-    of the first slicer first. At most :data:`~ebamcheck.comparison.sheets.MOST_SHEETS` layers are examined.
+    of the first slicer first. At most :data:`~ebamcheck.comparison.whole_causes.MOST_SHEETS` layers are examined.
     """
     x, y, _ = flaws.part.bounds.mean(axis=0).tolist()
     solid = differing[rings[0, differing] > 0]
@@ -189,46 +171,8 @@ def _in_sheets(sheets: list[Sheet], flaws: MeshFlaws, step_mm: float) -> list[Ca
     remains = total_mm2(mended) / before if before > 0.0 else 0.0
     solid = [sheet for sheet in mended if sheet.both_solid]
     if remains > LEAST and solid:
-        causes += [cause.scaled(remains) for cause in _lying(solid, flaws, step_mm)]
+        causes += [cause.scaled(remains) for cause in contour_causes(solid, flaws, step_mm)]
     return causes
-
-
-def _lying(sheets: list[Sheet], flaws: MeshFlaws, step_mm: float) -> list[Cause]:
-    """Causes in position and size of matching contours: the simplest of those that explain about as much."""
-    grid = coarse_grid(sheets)
-    if grid is not None and grid.share >= ENOUGH:
-        return [grid]
-    fits = FieldFit(sheets, flaws, step_mm).best(ENOUGH)
-    best = fits[0].share if fits else 0.0
-    others = [grid, turned_over(sheets), other_rule(sheets, flaws)] if best < ALL else [grid]
-    most = max((c for c in others if c is not None), key=lambda c: c.share, default=None)
-    if most is not None and most.share > best + AS_WELL:
-        return [most]
-    if best < LEAST:
-        return []
-    near = [f for f in fits if f.share >= best - AS_WELL]
-    fewest, plainest_first = min(len(f.names) for f in near), list(GROUPS)
-    near = [f for f in near if len(f.names) == fewest]
-    near.sort(key=lambda f: sum(map(plainest_first.index, f.names)))
-    origin_mm = sheets[0].origin_mm
-    first = _fitted_causes(near[0], fits, origin_mm)
-    if fewest == 1:
-        # Scale and rotation include a translation: if that alone is enough, they are not causes.
-        other = [] if near[0].names == ("translation",) else near[1:]
-        also = tuple(_fitted_causes(f, fits, origin_mm)[0].text for f in other)
-        first = [replace(first[0], also=also)]
-    return first
-
-
-def _fitted_causes(fitted: Fitted, fits: Sequence[Fitted], origin_mm: tuple[float, float]) -> list[Cause]:
-    """Name the causes of a fit; of two, the stronger gets the share that it explains alone, if that is over half of it."""
-    alone = {f.names[0]: f.share for f in fits if len(f.names) == 1}
-    names = sorted(fitted.names, key=lambda n: -alone.get(n, 0.0))
-    shares = [fitted.share]
-    if len(names) == 2:
-        first = min(alone.get(names[0], 0.0), fitted.share)
-        shares = [first, fitted.share - first] if first > 0.5 * fitted.share else [0.5 * fitted.share] * 2
-    return [field_cause(name, fitted, share, origin_mm) for name, share in zip(names, shares, strict=True)]
 
 
 # -- Remedies for a disagreement, by its cause: a setting, another slicer, another direction, or a repair of the part

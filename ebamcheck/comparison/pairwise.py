@@ -24,9 +24,7 @@ from ebamcheck.threads import run_blocks
 
 SAME_HEIGHT_MM = 1e-6  # heights closer than this are the same: finer than any slice file writes them
 SMALLEST_BLOCK = 16  # fewest layers of a task, so that starting it costs little in comparison
-TASKS_A_THREAD = (
-    32  # tasks per thread of a block of layers: small ones, so that all threads finish at about the same time
-)
+TASKS_A_THREAD = 32  # tasks per thread of a block of layers: all threads finish at about the same time
 
 
 class Pair(NamedTuple):
@@ -332,7 +330,8 @@ def _counts(solid: BaseGeometry, thin_mm: float = 0.0) -> tuple[int, int]:
     polygons = [p for p in shapely.get_parts(solid) if p.geom_type == "Polygon" and not p.is_empty]
     holes = [shapely.Polygon(ring) for polygon in polygons for ring in polygon.interiors]
     if thin_mm > 0.0:
+        shapes = polygons, holes
         polygons, holes = (
-            [p for p in those if not eroded(p, thin_mm, ARC_SEGMENTS).is_empty] for those in (polygons, holes)
+            [p for p in some if not eroded(p, thin_mm, ARC_SEGMENTS).is_empty] for some in shapes
         )
     return len(polygons), len(holes)

@@ -68,3 +68,23 @@ def contour_figures(layers: Layers) -> pd.DataFrame:
             "points": np.diff(layers.ring_starts[layers.layer_starts]),
         }
     )
+
+
+WINDOW = 32  # layers read from a file at once
+
+
+class Reader:
+    """Single layers of a stack in memory or in a file, read a window at a time."""
+
+    def __init__(self, source: LayerSource) -> None:
+        self.source = source
+        self._first = -1
+        self._window: Layers | None = None
+
+    def layer(self, layer: int) -> Layers:
+        """One layer as a stack of its own."""
+        first = layer - layer % WINDOW
+        if self._window is None or first != self._first:
+            self._window = self.source.block(first, min(first + WINDOW, len(self.source)))
+            self._first = first
+        return self._window.block(layer - first, layer - first + 1)

@@ -1,15 +1,19 @@
-"""Systematic causes of the difference of two slicers, and those in whole layers and in whole rings."""
+"""Systematic causes of the difference of two slicers; sheets, by which they are found; those in whole layers and rings."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from ebamcheck.comparison.sheets import Reader, Sheet, total_mm2
+from ebamcheck.comparison.outline import Outline, outline
+from ebamcheck.comparison.sources import Reader
+from ebamcheck.comparison.sweep import overlap
 from ebamcheck.kernels import Floats, Ints
-from ebamcheck.layers.stack import Layers
+from ebamcheck.layers.stack import Layers, from_rings
 
 OFFSET = "constant offset"
 TRANSLATION = "translation"
@@ -64,6 +68,89 @@ class Cause:
         return f"{self.text}{other} (explains {100.0 * self.share:.0f} % of the difference)"
 
 
+# -- Layers of two slicers side by side ---------------------------------------------------------------------------
+
+MOST_SHEETS = 12  # most layers of a pair that are examined: enough to find what they have in common
+# Most rings of these layers, of both slicers together: fewer are taken where each has over 25,000, as specks of a raster may be
+MOST_RINGS = 300_000
+
+
+@dataclass(frozen=True, eq=False)
+class Sheet:
+    """One layer of the slicer that differs, `a`, and of the one that it is compared with, as stacks of one layer each."""
+
+    layer: int
+    height_mm: float
+    a: Layers
+    b: Layers
+    origin_mm: tuple[float, float]
+
+    @cached_property
+    def outline_a(self) -> Outline:
+        """Outline of `a` from the origin."""
+        return outline(self.a, 0, self.origin_mm)
+
+    @cached_property
+    def contours_a(self) -> Floats:
+        """Segments (S, 4) of the closed rings of `a` from the origin."""
+        return from_origin(ring_segments(self.a), self.origin_mm)
+
+    @cached_property
+    def contours_b(self) -> Floats:
+        """Segments (S, 4) of the closed rings of `b` from the origin."""
+        return from_origin(ring_segments(self.b), self.origin_mm)
+
+    @cached_property
+    def difference_mm2(self) -> float:
+        """Area of the symmetric difference."""
+        return self.apart_mm2(self.b)
+
+    def apart_mm2(self, other: Layers) -> float:
+        """Area of the symmetric difference of `a` and another layer; infinite if they have too many crossings."""
+        swept = overlap(self.outline_a, outline(other, 0, self.origin_mm), False)
+        return float(swept.symmetric_difference_mm2) if swept.sound else np.inf
+
+    @property
+    def both_solid(self) -> bool:
+        """Whether both have a closed ring."""
+        return bool(self.a.closed.any() and self.b.closed.any())
+
+    def with_rings(self, rings: Sequence[ArrayLike]) -> Sheet:
+        """Return the sheet with other closed rings in place of those of `a`."""
+        return replace(self, a=from_rings([self.height_mm], [rings]))
+
+
+def ring_segments(layers: Layers) -> Floats:
+    """Segments (S, 4) of all closed rings: ``x0, y0, x1, y1`` with the solid on their left."""
+    following = np.arange(1, len(layers.points) + 1)
+    following[layers.ring_starts[1:] - 1] = layers.ring_starts[:-1]
+    closed = np.repeat(layers.closed, np.diff(layers.ring_starts))
+    return np.hstack([layers.points, layers.points[following]])[closed]
+
+
+def from_origin(segments: Floats, origin_mm: tuple[float, float]) -> Floats:
+    """The same segments (S, 4) from an origin."""
+    return np.asarray(segments - np.array([*origin_mm, *origin_mm]))
+
+
+def sample(
+    layers: Ints, rings: Ints, heights: Floats, a: Reader, b: Reader, origin_mm: tuple[float, float]
+) -> list[Sheet]:
+    """Sheets of a few of the layers on which two stacks differ, spread evenly; `rings` (L,) is how many each has."""
+    if not layers.size:
+        return []
+    # The more rings the layers have, by their median, the fewer are taken; points are not counted before a layer is read.
+    typical = max(float(np.median(rings[layers])), 1.0)
+    count = int(np.clip(MOST_RINGS / typical, 1, min(MOST_SHEETS, layers.size)))
+    at = np.unique(np.round(np.linspace(0, layers.size - 1, count + 2)[1:-1]).astype(np.int64))
+    return [Sheet(k, float(heights[k]), a.layer(k), b.layer(k), origin_mm) for k in layers[at].tolist()]
+
+
+def total_mm2(sheets: Sequence[Sheet]) -> float:
+    """Area of the symmetric difference on all sheets, mm2."""
+    return float(sum(sheet.difference_mm2 for sheet in sheets))
+
+
 # -- Causes in whole layers: dropped, duplicated, or taken from another height of the stack --------------------
 
 FARTHEST_SHIFT = 5  # largest shift of a stack, in layers, that is recognised
@@ -98,12 +185,10 @@ def layer_causes(
     if not left or not rest.size:
         return causes, left
     # Duplicated layers are also shifted ones: if both explain as much, they are called duplicated.
-    found = [
-        c for c in (_duplicated(left, areas[0], rings[0], rest, b), _shifted(left, rings.shape[1], b)) if c
-    ]
-    if not found:
+    both = _duplicated(left, areas[0], rings[0], rest, b), _shifted(left, rings.shape[1], b)
+    cause = max((c for c in both if c), key=lambda c: c.share, default=None)
+    if cause is None:
         return causes, left
-    cause = max(found, key=lambda c: c.share)
     causes.append(cause.scaled(share_of(rest)))
     return causes, [s for s in left if cause.layers is not None and s.layer not in cause.layers]
 
@@ -149,13 +234,9 @@ def _duplicated(
 
 # -- Causes in whole rings: missing or extra ones, and those with the wrong direction --------------------------
 
-LEAST_LIKENESS = (
-    0.25  # least overlap of two rings' boxes times ratio of their areas for them to be the same ring
-)
+LEAST_LIKENESS = 0.25  # least overlap of boxes times ratio of areas for two rings to be the same
 MOST_MATCHED = 3000  # most rings of a layer that are matched, as every one is compared with every other
-DEEP = (
-    2  # nesting depth of a ring inside a hole: from here on a slicer derives the direction from the nesting
-)
+DEEP = 2  # nesting depth inside a hole: from here on a slicer derives the direction from the nesting
 
 
 def ring_causes(sheets: Sequence[Sheet], least_share: float) -> tuple[list[Cause], list[Sheet]]:

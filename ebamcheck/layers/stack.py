@@ -366,16 +366,9 @@ class Layers(LayerColumns[Layer]):
 
 
 def canonical(
-    heights: ArrayLike,
-    points: ArrayLike,
-    ring_starts: ArrayLike,
-    layer_starts: ArrayLike,
-    closed: ArrayLike,
-    *,
-    edge: ShortInts | None = None,
-    edge_t: Floats | None = None,
-    **labels: Any,
-) -> Layers:
+    heights: ArrayLike, points: ArrayLike, ring_starts: ArrayLike, layer_starts: ArrayLike,
+    closed: ArrayLike, *, edge: ShortInts | None = None, edge_t: Floats | None = None, **labels: Any,
+) -> Layers:  # fmt: skip
     """Bring raw rings, in any order within a layer, into canonical form; rings without area are `dropped`."""
     heights = np.ascontiguousarray(heights, dtype=np.float64)
     points = np.ascontiguousarray(points, dtype=np.float64).reshape(-1, 2)

@@ -83,18 +83,11 @@ def declared_bounds(
 
 
 def slice_all(
-    part: Part,
-    heights: Floats,
-    backends: Mapping[str, BackendSettings],
-    target: Path,
-    limits: Limits = DEFAULT_LIMITS,
-    progress: Callable[[str, int], None] | None = None,
-    borders: Ints | None = None,
-    pool: WorkerPool | None = None,
-    keep_blocks: bool = False,
-    bounds_only: bool = False,
-    meanwhile: Callable[[], object] | None = None,
-) -> dict[str, Outcome]:
+    part: Part, heights: Floats, backends: Mapping[str, BackendSettings], target: Path,
+    limits: Limits = DEFAULT_LIMITS, progress: Callable[[str, int], None] | None = None,
+    borders: Ints | None = None, pool: WorkerPool | None = None, keep_blocks: bool = False,
+    bounds_only: bool = False, meanwhile: Callable[[], object] | None = None,
+) -> dict[str, Outcome]:  # fmt: skip
     """Slice with several backends, each in its own process; returns one outcome for every name, in the order given.
 
     Heights (L,), mm, strictly increase; layers go to `target`, one file ``NAME.parquet`` a backend that comes to an end. `progress`

@@ -101,15 +101,9 @@ def slice_part(
 
 
 def slice_to_file(
-    part: Part,
-    heights: ArrayLike,
-    path: str | Path,
-    backend: str = "",
-    limits: Limits | None = None,
-    block_points: int = SlicingSettings().block_points,
-    pool: WorkerPool | None = None,
-    **settings: Any,
-) -> Outcome:
+    part: Part, heights: ArrayLike, path: str | Path, backend: str = "", limits: Limits | None = None,
+    block_points: int = SlicingSettings().block_points, pool: WorkerPool | None = None, **settings: Any,
+) -> Outcome:  # fmt: skip
     """Cut a part into a file of layers, which appears when it is whole; errors are those of :func:`slice_part`.
 
     A backend of this project's own kernels cuts in this process, unless the part is very large, others in one of theirs. Rising
