@@ -91,9 +91,7 @@ class Comparison:
     findings: list[Disagreement]
     passed: bool  # whether a layer was compared, and none has an outlier, is undecided, or is empty although the part is not
     compared_layers: int  # layers on which at least one gated pair that is evidence had regions to compare
-    without_weight: Mapping[str, str] = field(
-        default_factory=dict
-    )  # backends that are no evidence, with the reason
+    without_weight: Mapping[str, str] = field(default_factory=dict)  # why a backend is no evidence
 
 
 def compare_all(
