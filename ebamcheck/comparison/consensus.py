@@ -50,7 +50,7 @@ class EvidenceRule:
 
     def without_weight(self, bounds: Bounds) -> dict[str, str]:
         """Methods whose agreement is no evidence, with the reason in one line."""
-        reasons = {}
+        reasons: dict[str, str] = {}
         for name, both in bounds.items():
             limits = self.largest_error_mm, self.largest_height_mm
             for what, bound_mm, most_mm in zip(("bound", "height bound"), both, limits, strict=True):

@@ -69,10 +69,13 @@ def allow_doubt(
 def _agrees_beside(pair: Pair, a: Layers, b: Layers, doubts: Sequence[Doubt], added_mm: float) -> bool:
     """Whether a layer agrees within the wider limit everywhere, topology included, and within its own outside the boxes."""
     rectangles = [shapely.box(*(d.low[:2] - d.bound_mm), *(d.high[:2] + d.bound_mm)) for d in doubts]
-    boxes, exact = shapely.union_all(rectangles), {"exact_a": pair.exact_a, "exact_b": pair.exact_b}
+    boxes = shapely.union_all(rectangles)
 
     def agree(a: Layers, b: Layers, limit_mm: float) -> bool:
-        return bool(compare(a, b, tolerance_mm=limit_mm, check_part=False, **exact)["agrees"].all())
+        table = compare(
+            a, b, tolerance_mm=limit_mm, exact_a=pair.exact_a, exact_b=pair.exact_b, check_part=False
+        )
+        return bool(table["agrees"].all())
 
     def outside(layers: Layers) -> Layers:
         left = shapely.get_parts(shapely.difference(layers.section(0), boxes))

@@ -124,8 +124,9 @@ class FieldFit:
         still = np.zeros(len(free))
         first, most_mm = np.abs(apart(still)), FARTHEST * self.size_mm
         soft_mm = SOFT * max(float(np.median(first)), 1e-3 * float(first.mean()), 1e-12)
-        bounds, options = (-most_mm, most_mm), {"loss": "soft_l1", "f_scale": soft_mm, "max_nfev": MOST_STEPS}
-        by_mm = least_squares(apart, still, bounds=bounds, **options).x
+        by_mm = least_squares(
+            apart, still, bounds=(-most_mm, most_mm), loss="soft_l1", f_scale=soft_mm, max_nfev=MOST_STEPS
+        ).x
         return start if np.abs(by_mm).max() >= 0.999 * most_mm else changed(by_mm)
 
     def _predicted(self, q: Floats, cut_again: bool) -> Iterator[Floats]:
@@ -401,7 +402,7 @@ def coarse_grid(sheets: Sequence[Sheet]) -> Cause | None:
             return share(lambda ends: way((ends - shift) / step) * step + shift)
 
         text = f"coordinates are rounded to a grid of {step:.6g} mm"
-        explained = max(map(snapped, (np.round, np.floor, np.ceil, np.trunc)))
+        explained = max(snapped(way) for way in (np.round, np.floor, np.ceil, np.trunc))
         return Cause(systematic.QUANTISATION, step, "mm", text, explained)
     if np.array_equal(single(values), values) and not np.array_equal(single(other), other):
         step = float(np.spacing(np.float32(np.abs(values).max())))

@@ -107,7 +107,7 @@ def _named(
 
 
 def _empty_finding(
-    flaws: MeshFlaws, names: list[str], layer: int, height_mm: float, tables: list[Columns]
+    flaws: MeshFlaws, names: list[str], layer: int, height_mm: float, tables: Sequence[Columns]
 ) -> Disagreement:
     """Name a layer that is empty in all stacks although facets of the part cross it; the value is the area."""
     x, y = flaws.place(height_mm)

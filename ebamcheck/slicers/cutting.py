@@ -119,9 +119,11 @@ def cut_here(
             raise _OutOfTime
 
     slicer = registry.available_slicer(name)
-    error_mm, height_mm = slicer.error_bound_mm(part, settings), slicer.height_bound_mm(part, settings)
-    bounds = {"error_bound_mm": float(error_mm), "height_bound_mm": float(height_mm)}
-    outcome = Outcome(name, probe=registry.probe(name), **bounds)
+    error_mm, height_mm = (
+        float(slicer.error_bound_mm(part, settings)),
+        float(slicer.height_bound_mm(part, settings)),
+    )
+    outcome = Outcome(name, probe=registry.probe(name), error_bound_mm=error_mm, height_bound_mm=height_mm)
     if fault := bounds_fault(asdict(outcome), float(part.size.max())):
         return replace(outcome, failure="crashed", why=fault)
     file = folder / f"{name}.parquet"
