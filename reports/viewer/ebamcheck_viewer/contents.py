@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -43,7 +43,7 @@ def of_run(folder: RunFolder) -> Contents:
     """Contents of a finished run; what the run did not come to is left out."""
     run = RunData(folder)
     made = not run.is_check and bool(run.part_of("program").get("files"))
-    program = Subject(Run(folder.path).program, run.config, layers=run.primary).nc if made else None
+    program = with_roles(Run(folder.path).program, run) if made else None
     stacks = {name: folder.read_layers(name) for name in run.kept_methods}
     heights = next((stack.heights for stack in stacks.values()), np.zeros(0))
     count = len(heights)
@@ -85,6 +85,12 @@ def box(stacks: Iterable[Layers]) -> list[float]:
         return [0.0, 0.0, 1.0, 1.0]
     every = np.array(corners)
     return [*every[:, :2].min(axis=0).tolist(), *every[:, 2:].max(axis=0).tolist()]
+
+
+def with_roles(program: NCProgram, run: RunData) -> NCProgram:
+    """The program with contours and islands told apart by the sections of the part."""
+    roles = Subject(program, run.config, layers=run.primary).nc
+    return replace(program, ring=roles.ring, island=roles.island)
 
 
 def verdict(run: RunData) -> str:
