@@ -5,6 +5,7 @@ import { ofLimit, scale } from "./colours.js";
 import { barOf, draw, mark, range, svg, View } from "./draw.js";
 import { Layer, MEASURES } from "./layer.js";
 import { make, page } from "./page.js";
+import { Solid } from "./solid.js";
 import * as states from "./state.js";
 
 const AROUND = 7; // lines of the program before and after the one that is shown
@@ -34,8 +35,10 @@ const act = {
   svg: () => save(new Blob([svg(view, layer, state, index)], { type: "image/svg+xml" }), "svg"),
   link: () => navigator.clipboard?.writeText(location.href).then(() => (parts.said.textContent = "the address of this view is on the clipboard"), () => {}),
   help: () => parts.help.showModal(),
+  solid: () => turned(),
 };
 const parts = page(index, act), view = new View(parts.canvas, index);
+let solid = /** @type {Solid | null} */ (null);
 
 // -- what is seen ----------------------------------------------------------------------------------
 
@@ -55,6 +58,7 @@ function toggled(list, names) {
 function show() {
   draw(view, layer, state, index);
   if (marked) mark(view, marked);
+  if (solid && !parts.solid.hidden) solid.draw(layer, state);
   strip();
   const boxes = (/** @type {HTMLLabelElement[]} */ labels, /** @type {string[]} */ names, /** @type {string[]} */ on) =>
     labels.forEach((label, n) => (/** @type {HTMLInputElement} */ (label.firstChild).checked = on.includes(names[n])));
@@ -89,6 +93,19 @@ async function load() {
     [layer, shown] = [new Layer(columns, index.step_mm), wanted];
   }
   show();
+}
+
+/** Change between the layer and the build in three dimensions. */
+function turned() {
+  parts.solid.hidden = !parts.solid.hidden;
+  [parts.canvas.hidden, parts.turned.textContent] = [!parts.solid.hidden, parts.solid.hidden ? "3D" : "2D"];
+  solid ||= new Solid(parts.solid, index, store, () => show());
+  if (!solid.works) {
+    [parts.solid.hidden, parts.canvas.hidden, parts.turned.disabled] = [true, false, true];
+    parts.under.textContent = "this browser has no WebGL 2: layers are shown in two dimensions";
+  }
+  show();
+  solid.load();
 }
 
 /** @param {number} time s */
@@ -311,7 +328,7 @@ const KEYS = {
   ArrowUp: () => go(state.layer + 1), ArrowDown: () => go(state.layer - 1), PageUp: () => go(state.layer + 10), PageDown: () => go(state.layer - 10),
   Home: () => go(1), End: () => go(index.layers), ArrowLeft: () => stepped(-1), ArrowRight: () => stepped(1), " ": act.play,
   "+": () => zoomed(1.5), "=": () => zoomed(1.5), "-": () => zoomed(1 / 1.5), 0: () => seen(() => ((marked = null), view.fit())),
-  f: () => worst(), n: nextNote, l: act.link, "?": act.help,
+  d: act.solid, f: () => worst(), n: nextNote, l: act.link, "?": act.help,
 };
 
 function save(/** @type {Blob} */ blob, /** @type {string} */ ending) {
@@ -345,7 +362,7 @@ window.addEventListener("resize", () => {
 /** @type {any} */ (window).ebamcheck = {
   state: () => ({
     layer: state.layer, layers: index.layers, z_mm: index.z_mm?.[state.layer - 1] ?? index.cut_mm[state.layer - 1] ?? null,
-    time_s: Math.min(state.t, layer.time), layer_time_s: layer.time, shown: [...state.show], drawn: [...state.draw], verdict: index.verdict, scale_bar: barOf(view.zoom),
+    time_s: Math.min(state.t, layer.time), layer_time_s: layer.time, shown: [...state.show], drawn: [...state.draw], verdict: index.verdict, solid: !parts.solid.hidden, scale_bar: barOf(view.zoom),
     worst: Object.fromEntries(index.strips.map((/** @type {any} */ s) => [s.gate, { layer: peak(s) + 1, figure: s.figure[peak(s)], limit: s.limit[peak(s)], unit: s.unit }])), under,
   }),
 };

@@ -23,7 +23,7 @@ const WORDS = {
 
 const KEYS = [
   ["Up, Down", "layer above, below"], ["Page Up, Page Down", "ten layers"], ["Left, Right", "motion before, after"], ["Space", "play, stop"],
-  ["+, -", "zoom"], ["0", "whole part"], ["F", "layer that is nearest to a limit"], ["N", "next finding or failed check"], ["L", "link to this view"], ["?", "this list"],
+  ["+, -", "zoom"], ["0", "whole part"], ["F", "layer that is nearest to a limit"], ["D", "three dimensions, or the layer"], ["N", "next finding or failed check"], ["L", "link to this view"], ["?", "this list"],
 ];
 
 /** Build the page. @param {any} index @param {any} act handlers by name */
@@ -42,6 +42,8 @@ export function page(index, act) {
 
   const parts = {
     canvas: make("canvas", { id: "picture", tabIndex: 0, "aria-label": "picture of the layer" }),
+    solid: make("canvas", { id: "solid", hidden: true, "aria-label": "the build in three dimensions" }),
+    turned: button("3D", "the build in three dimensions, or the layer (D)", act.solid),
     strip: make("canvas", { id: "strip", title: "how near each layer is to its limits, one column a gate; click: go there" }),
     layer: make("input", { id: "layer", type: "range", min: 1, max: Math.max(index.layers, 1), step: 1, title: "layer", oninput: act.layer }),
     time: make("input", { id: "time", type: "range", min: 0, max: 1, step: "any", title: "time in the layer", oninput: act.time }),
@@ -70,8 +72,8 @@ export function page(index, act) {
   const app = /** @type {HTMLElement} */ (document.getElementById("app"));
   app.append(
     make("header", {}, make("h1", {}, index.name || "viewer"), make("strong", { class: good ? "good" : "bad" }, index.verdict), parts.goal,
-      ...worst, button("PNG", "save the picture", act.png), button("SVG", "save the layer as SVG, in millimetres", act.svg), button("Link", "address of this view (L)", act.link), button("?", "keys", act.help)),
-    make("main", {}, make("div", { id: "stage" }, parts.canvas, parts.under), make("div", { id: "layers" }, make("div", { id: "limits" }, make("div", { id: "gates" }, ...index.strips.map((/** @type {any} */ strip) => make("span", { title: `${strip.gate}: share of its limit` }, strip.gate.slice(0, 3)))), parts.strip), parts.layer)),
+      ...worst, parts.turned, button("PNG", "save the picture", act.png), button("SVG", "save the layer as SVG, in millimetres", act.svg), button("Link", "address of this view (L)", act.link), button("?", "keys", act.help)),
+    make("main", {}, make("div", { id: "stage" }, parts.canvas, parts.solid, parts.under), make("div", { id: "layers" }, make("div", { id: "limits" }, make("div", { id: "gates" }, ...index.strips.map((/** @type {any} */ strip) => make("span", { title: `${strip.gate}: share of its limit` }, strip.gate.slice(0, 3)))), parts.strip), parts.layer)),
     make("footer", {}, parts.play, parts.speed, parts.time, parts.said),
     make("aside", {},
       make("section", {}, make("h2", {}, "Slicers"), ...parts.show),
