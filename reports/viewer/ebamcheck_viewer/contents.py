@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -15,6 +15,7 @@ from ebamcheck.checks.interpass_checks import motion_seconds
 from ebamcheck.checks.metal import zone_limit, zone_off
 from ebamcheck.checks.subject import Subject
 from ebamcheck.curves import Curves
+from ebamcheck.errors import InputError
 from ebamcheck.kernels import Floats, Ints
 from ebamcheck.layers.stack import Layers
 from ebamcheck.nc.motions import ARC, POLYNOMIAL, SPLINE_SPAN, NCProgram
@@ -45,46 +46,69 @@ def of_run(folder: RunFolder) -> Contents:
     made = not run.is_check and bool(run.part_of("program").get("files"))
     program = with_roles(Run(folder.path).program, run) if made else None
     stacks = {name: folder.read_layers(name) for name in run.kept_methods}
-    heights = next((stack.heights for stack in stacks.values()), np.zeros(0))
-    count = len(heights)
-    index: dict[str, Any] = {
-        "name": str(run.part_of("part").get("name", "")), "made_by": str(run.manifest["ebamcheck"]),
-        "verdict": verdict(run), "step_mm": STEP_MM, "layers": count, "cut_mm": _rounded(heights),
-        "slicers": list(stacks), "primary": str(run.manifest.get("primary", "")),
-        "bead_mm": run.setting("process", "bead_width_mm", 6.0), "strips": strips(run, count), "notes": notes(run),
+    index = {
+        "name": str(run.part_of("part").get("name", "")), "verdict": verdict(run), "primary": str(run.manifest.get("primary", "")),
+        "strips": strips(run), "notes": notes(run),
     }  # fmt: skip
-    index["box"] = box(stacks.values())
+    return _contents(index, run.config, stacks, program, run.curves, run.plan)
+
+
+def of_files(stacks: Mapping[str, Layers], program: NCProgram | None, config: Config) -> Contents:
+    """Contents of layer files, a program, or both, layer by layer in their order.
+
+    Raises
+    ------
+    InputError
+        Where they have different numbers of layers: they are not those of one build.
+    """
+    counts = {name: len(stack) for name, stack in stacks.items()}
+    counts |= {program.files[0].name: len(program.layer_files)} if program is not None else {}
+    if len(set(counts.values())) != 1:
+        told = ", ".join(f"{name} has {count}" for name, count in counts.items()) or "nothing to show"
+        raise InputError(f"layers of one build are as many in every file: {told}")
+    name = ", ".join(counts)
+    primary = next(iter(stacks), "")
+    return _contents(
+        {"name": name, "verdict": "", "primary": primary, "strips": [], "notes": []}, config, stacks, program
+    )
+
+
+def _contents(
+    index: dict[str, Any], config: Config, stacks: Mapping[str, Layers], program: NCProgram | None,
+    curves: Curves | None = None, plan: ScanPlan | None = None,
+) -> Contents:  # fmt: skip
+    z = program.layer_heights if program is not None else np.zeros(0)
+    heights = next((stack.heights for stack in stacks.values()), z)
+    count = len(heights)
+    index |= {
+        "step_mm": STEP_MM, "layers": count, "cut_mm": _rounded(heights), "slicers": list(stacks),
+        "box": box(stacks, program), "bead_mm": config.process.bead_width_mm,
+    }  # fmt: skip
     found = Contents(index)
     every: list[dict[str, Ints]] = [{} for _ in range(count)]
     for name, stack in stacks.items():
         _add(every, (outlines(f"c.{name}", stack, k) for k in range(count)))
-    if run.curves is not None:
-        _add(every, (spans(run.curves, k) for k in range(count)))
-    if run.plan is not None:
-        _add(every, (islands(run.plan, k) for k in range(count)))
+    if curves is not None:
+        _add(every, (spans(curves, k) for k in range(count)))
+    if plan is not None:
+        _add(every, (islands(plan, k) for k in range(count)))
     if program is not None:
-        index |= {"files": list(program.layer_files), "z_mm": _rounded(program.layer_heights)}
-        _add(every, motions(program, run.config, run.plan, count))
-        index["time_s"] = [
-            float(columns["m.ms"].sum() + columns["m.wait"].sum()) * SECOND for columns in every
-        ]
-        for file in program.files:
-            found.blobs[f"T{file.name}"] = packed_text(file.data)
+        index |= {"files": list(program.layer_files), "z_mm": _rounded(z)}
+        _add(every, motions(program, config, plan, count))
+        found.blobs |= {f"T{file.name}": packed_text(file.data) for file in program.files}
     found.blobs |= {f"L{k + 1}": packed(columns) for k, columns in enumerate(every)}
     return found
 
 
-def box(stacks: Iterable[Layers]) -> list[float]:
-    """Bounds of all outlines, mm; a unit square where there is none."""
-    corners = [
-        np.concatenate([stack.points.min(axis=0), stack.points.max(axis=0)])
-        for stack in stacks
-        if len(stack.points)
-    ]
-    if not corners:
+def box(stacks: Mapping[str, Layers], program: NCProgram | None) -> list[float]:
+    """Bounds of all outlines, or of the beads where there are none, mm; a unit square where there are neither."""
+    places = [stack.points for stack in stacks.values() if len(stack.points)]
+    if not places and program is not None and program.deposit.any():
+        places = [program.end[program.deposit, :2]]
+    if not places:
         return [0.0, 0.0, 1.0, 1.0]
-    every = np.array(corners)
-    return [*every[:, :2].min(axis=0).tolist(), *every[:, 2:].max(axis=0).tolist()]
+    every = np.concatenate([np.stack([points.min(axis=0), points.max(axis=0)]) for points in places])
+    return [*every.min(axis=0).tolist(), *every.max(axis=0).tolist()]
 
 
 def with_roles(program: NCProgram, run: RunData) -> NCProgram:
@@ -193,15 +217,12 @@ def _island_of(nc: NCProgram, rows: Ints, plan: ScanPlan | None, k: int) -> Ints
 # -- how near each layer is to its limits -----------------------------------------------------------
 
 
-def strips(run: RunData, count: int) -> list[dict[str, Any]]:
+def strips(run: RunData) -> list[dict[str, Any]]:
     """For each gate that has a figure of each layer: the share of its limit that every layer takes, and the place where it does."""
     found = [
         strip for strip in (_agreement(run), _coverage(run), _deposit(run), _heat(run)) if strip is not None
     ]
-    return [
-        strip | {"share": quantised(np.resize(strip["share"], count), SHARE).tolist(), "step": SHARE}
-        for strip in found
-    ]
+    return [strip | {"share": quantised(strip["share"], SHARE).tolist(), "step": SHARE} for strip in found]
 
 
 def _agreement(run: RunData) -> dict[str, Any] | None:

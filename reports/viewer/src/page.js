@@ -71,7 +71,7 @@ export function page(index, act) {
 
   const app = /** @type {HTMLElement} */ (document.getElementById("app"));
   app.append(
-    make("header", {}, make("h1", {}, index.name || "viewer"), make("strong", { class: good ? "good" : "bad" }, index.verdict), parts.goal,
+    make("header", {}, make("h1", {}, index.name || "viewer"), make("strong", { class: good ? "good" : "bad" }, index.verdict || ""), parts.goal,
       ...worst, parts.turned, button("PNG", "save the picture", act.png), button("SVG", "save the layer as SVG, in millimetres", act.svg), button("Link", "address of this view (L)", act.link), button("?", "keys", act.help)),
     make("main", {}, make("div", { id: "stage" }, parts.canvas, parts.solid, parts.under), make("div", { id: "layers" }, make("div", { id: "limits" }, make("div", { id: "gates" }, ...index.strips.map((/** @type {any} */ strip) => make("span", { title: `${strip.gate}: share of its limit` }, strip.gate.slice(0, 3)))), parts.strip), parts.layer)),
     make("footer", {}, parts.play, parts.speed, parts.time, parts.said),
@@ -80,7 +80,7 @@ export function page(index, act) {
       make("section", {}, make("h2", {}, "Layer"), ...parts.draw, has("pair") && slicers.length > 1 ? make("div", { class: "pair" }, parts.first, " and ", parts.second) : ""),
       make("section", {}, make("h2", {}, "Beads by"), parts.color, parts.legend),
       make("section", {}, make("h2", {}, "Program"), parts.text),
-      make("section", {}, make("h2", {}, `Gates, findings, checks: ${bad ? `${bad} to look at` : "all passed"}`), make("ul", { id: "notes" }, ...notes))),
+      make("section", {}, make("h2", {}, index.notes.length ? `Gates, findings, checks: ${bad ? `${bad} to look at` : "all passed"}` : "No run: nothing was judged"), make("ul", { id: "notes" }, ...notes))),
     parts.help);
   return parts;
 }
