@@ -122,7 +122,7 @@ mutants: setup ## Plant wrong changes of the code, two a room, and count the tes
 	@$(BIN)/python -m benchmarks.mutants -o reports/benchmarks/mutants.md
 
 viewer: ## Bundle the sources of the viewer into the files that the wheel ships (needs node)
-	@cd reports/viewer && npm install --silent --no-audit --no-fund && npm run --silent types && npm run --silent build
+	@cd reports/viewer && npm install --silent --no-audit --no-fund --no-package-lock && npm run --silent types && npm run --silent build
 
 clean: ## Remove what the targets made
 	@rm -rf $(VENV) demo site .mypy_cache .ruff_cache .pytest_cache .hypothesis

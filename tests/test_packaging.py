@@ -29,6 +29,7 @@ PACKAGES = {
     "ebamcheck_manifold": "backends/ebamcheck_manifold",
     "ebamcheck_models": "reference_models/ebamcheck_models",
     "ebamcheck_reports": "reports/ebamcheck_reports",
+    "ebamcheck_viewer": "reports/viewer/ebamcheck_viewer",
 }
 """Names that an installation puts into site-packages, and where they come from."""
 
