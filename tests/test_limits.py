@@ -40,7 +40,7 @@ ELSEWHERE = {
     "table turns", "frame taken back",
     # Scans of a plate that heat more, or less, than the model says: test_preheat_made_wrong.py.
     "preheat balance",
-    # Hashes, signatures and records, equal or not: test_certificate.py, test_forgeries.py, test_verified_runs.py.
+    # Hashes, signatures and records, equal or not: test_certificate.py, test_forgeries.py.
     "settings unchanged", "file unchanged", "part unchanged", "certificate", "certificate seal", "signature", "record", "verdict", "handshake",
     "program", "worked out again", "part sound", "mounting",
 }  # fmt: skip

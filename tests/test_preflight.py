@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -397,26 +395,6 @@ def test_the_preflight_is_a_command(block, tmp_path):
     assert "beyond machine.travel_min_mm" in done.stdout
     assert ebamcheck("preflight", "gone.stl", cwd=tmp_path).returncode == 2
     assert ebamcheck("preflight", block.name, "--units", "furlong", cwd=tmp_path).returncode == 2
-
-
-HEAVY = ("pandas", "ebamcheck.pipeline", "ebamcheck.slicers.slicing", "ebamcheck.curves", "ebamcheck.scan")
-"""What takes most of the time of a start; the names of the controls, which the preflight asks for, take a hundredth."""
-
-
-@pytest.mark.parametrize("arguments", [["run", "--place", "5000,0"], ["preflight"]], ids=str)
-def test_nothing_heavy_is_loaded_before_the_preflight_has_spoken(block, tmp_path, arguments):
-    start = (
-        "import sys, json\nfrom ebamcheck.commands.main import main\n"
-        f"sys.argv = {['ebamcheck', arguments[0], block.name, *arguments[1:]]!r}\n"
-        "try:\n    main()\nexcept SystemExit as left:\n    pass\n"
-        f"print(json.dumps([name for name in {HEAVY!r} if name in sys.modules]))\n"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", start], cwd=tmp_path, capture_output=True, text=True, check=True
-    )
-    assert json.loads(done.stdout.splitlines()[-1]) == []
-    if arguments[0] == "run":
-        assert "preflight: travel X" in done.stderr
 
 
 def test_a_plate_and_a_part_exclude_each_other(block, tmp_path):

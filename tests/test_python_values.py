@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import subprocess
 import sys
 from pathlib import Path
 from xml.etree import ElementTree
@@ -28,7 +27,6 @@ from ebamcheck_models import BLADE, CUBE
 
 SQUARE = [(0.0, 0.0), (10.0, 0.0), (10.0, 10.0), (0.0, 10.0)]
 HOLE = [(4.0, 4.0), (4.0, 6.0), (6.0, 6.0), (6.0, 4.0)]
-HEAVY = ("numpy", "numba", "pandas", "scipy", "matplotlib", "shapely", "pyarrow", "pydantic")
 
 
 @pytest.fixture(scope="module")
@@ -64,22 +62,10 @@ def program(files: ProgramFiles) -> NCProgram:
 # -- public names ----------------------------------------------------------------------------------
 
 
-def test_import_loads_nothing_heavy() -> None:
-    code = f"import sys, ebamcheck; print([m for m in {HEAVY!r} if m in sys.modules])"
-    made = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert made.stdout.strip() == "[]"
-
-
 def test_every_public_name_is_there() -> None:
     assert {"run", "check", "inspect", "save", "Run"} <= set(dir(ebamcheck))
     for name in ebamcheck.__all__:
         assert getattr(ebamcheck, name) is not None
-
-
-def test_matplotlib_is_loaded_by_a_plot_alone() -> None:
-    code = "import sys, ebamcheck.saving, ebamcheck.showing.plotting, ebamcheck.runs; print('matplotlib' in sys.modules)"
-    made = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert made.stdout.strip() == "False"
 
 
 # -- one short line --------------------------------------------------------------------------------
