@@ -1,34 +1,43 @@
-"""Runs that are killed, whenever that may be: the next goes on to the same bytes, and clears away what they left."""
+"""Runs that are killed or meet with an accident: the next goes on to the same bytes, and clears away what they left."""
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import json
 import os
 import random
+import re
 import signal
 import subprocess
 import sys
 import time
+from unittest.mock import Mock
 
 import numpy as np
+import psutil
 import pytest
 import typer
-from command_line import FAST, WIDE_TOML, command, ebamcheck, frame, started, write_stl
-from parts import box, sphere
+from command_line import FAST, WIDE_TOML, command, ebamcheck, frame, write_stl
+from finished_runs import plate_of_every_slicer
+from parts import sphere
+from pipeline_runs import SETTINGS, contents, gates, untimed
 
 from ebamcheck import scratch
 from ebamcheck.atomic_file import replacing
 from ebamcheck.commands.command_group import guarded
-from ebamcheck.errors import ExitCode
+from ebamcheck.errors import ExitCode, SettingsError
 from ebamcheck.layers.files import KeptBlocks, count_kept, read_parquet
 from ebamcheck.layers.heights import layer_blocks
 from ebamcheck.mesh.files import load
+from ebamcheck.mesh.part import from_arrays
+from ebamcheck.pipeline import check_job, cross_check, run_job
 from ebamcheck.plugins import registry
+from ebamcheck.record.run_folder import RunFolder
 from ebamcheck.slicers.isolation import slice_all
 from ebamcheck.slicers.slicing import slice_part
 
-SETTINGS = f"slicing.backends = {FAST.split(',')}\nslicing.block_points = 1000\n"
+OF_BLOCKS = f"slicing.backends = {FAST.split(',')}\nslicing.block_points = 1000\n"
 
 DATED = ("finished", "seal")
 """Fields of a certificate that tell when the run was made, or hold what does."""
@@ -100,14 +109,14 @@ def killed_and_resumed(job, folder, kills, seed):
 @pytest.mark.slow
 def test_checks_killed_at_random_moments_come_to_the_same_bytes(tmp_path):
     write_stl(sphere(12.0, 24, 48), tmp_path / "part.stl")
-    (tmp_path / "ebamcheck.toml").write_text(SETTINGS)
+    (tmp_path / "ebamcheck.toml").write_text(OF_BLOCKS)
     killed_and_resumed("check", tmp_path, kills=3, seed=1)
 
 
 @pytest.mark.long
 def test_runs_killed_at_random_moments_come_to_the_same_bytes(tmp_path):
     write_stl(frame(), tmp_path / "part.stl")
-    (tmp_path / "ebamcheck.toml").write_text(f"{SETTINGS}layers.layer_height_mm = 6.0\n{WIDE_TOML}")
+    (tmp_path / "ebamcheck.toml").write_text(f"{OF_BLOCKS}layers.layer_height_mm = 6.0\n{WIDE_TOML}")
     killed_and_resumed("run", tmp_path, kills=9, seed=0)
 
 
@@ -250,19 +259,6 @@ def test_what_a_killed_process_left_goes_and_what_one_at_work_has_stays(tmp_path
     assert {path.name for path in tmp_path.iterdir()} == {"ebamcheck-mine", ".notes.part", "own.csv"}
 
 
-def test_a_slice_that_was_killed_leaves_nothing_once_the_next_is_made(tmp_path):
-    write_stl(box(), tmp_path / "part.stl")
-    left = tmp_path / f".part.parquet{scratch.MARK}abc"
-    left.mkdir()
-    (left / "planecut.parquet").write_text("half")
-    done = started("slice", "part.stl", "-o", "part.parquet", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["part.parquet", "part.stl"]
-    assert len(read_parquet(tmp_path / "part.parquet")) == len(
-        slice_part(box(), read_parquet(tmp_path / "part.parquet").heights)
-    )
-
-
 @pytest.mark.parametrize(
     ("led_to_it", "code"), [(KeyboardInterrupt, ExitCode.INTERRUPTED), (ValueError, ExitCode.INTERNAL)]
 )
@@ -277,3 +273,105 @@ def test_an_interrupt_inside_compiled_code_is_an_interrupt(led_to_it, code):
     with pytest.raises(typer.Exit) as end:
         guarded(work)()
     assert end.value.exit_code == code
+
+
+@pytest.fixture(scope="module")
+def plate(tmp_path_factory):
+    """A finished run with every backend there is, of a plate with a hole."""
+    return plate_of_every_slicer(tmp_path_factory)
+
+
+@pytest.mark.slow
+def test_a_killed_backend_is_told_and_the_others_are_whole(plate, tmp_path):
+    path = plate[1]
+    (tmp_path / "ebamcheck.toml").write_text(WIDE_TOML)
+    run = subprocess.Popen(
+        command("run", path, "--layer-height", 6, "-o", "k.run"),
+        cwd=tmp_path,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    victims = []
+    while not victims:
+        assert run.poll() is None
+        # A worker that ends while it is looked at has no command line any more.
+        with contextlib.suppress(psutil.Error):
+            victims = [
+                p
+                for p in psutil.Process(run.pid).children()
+                if p.cmdline()[1:5] == ["-P", "-m", "ebamcheck.slicers.worker", "embree"]
+            ]
+    victims[0].kill()
+    text = run.communicate()[0]
+    assert run.returncode == 0
+    assert "3 methods agree on 2 of 2 layers; lost: embree killed" in text
+    manifest = untimed(tmp_path / "k.run")
+    assert manifest["backends"]["embree"]["status"] == "killed"
+    assert "SIGKILL" in manifest["backends"]["embree"]["why"]
+    whole = contents(plate[0].folder.path)
+    for name in ("planecut", "stencil", "manifold"):
+        if manifest["backends"][name]["status"] == "done":
+            assert (tmp_path / "k.run" / "layers" / f"{name}.parquet").read_bytes() == whole[
+                f"layers/{name}.parquet"
+            ]
+    assert {n: b for n, b in contents(tmp_path / "k.run").items() if n.startswith("program/")} == {
+        n: b for n, b in whole.items() if n.startswith("program/")
+    }
+
+
+def test_of_two_methods_one_fails(tmp_path):
+    path = write_stl(from_arrays(frame().vertices, frame().faces[:-1], "open"), tmp_path / "open.stl")
+    result = run_job(path, tmp_path / "open.run", SETTINGS)
+    assert result.exit_code is ExitCode.OUT_OF_TOLERANCE
+    assert (gates(result)["input"], gates(result)["agreement"]) == (False, False)
+    manifest = result.folder.manifest()
+    assert manifest["backends"]["manifold"]["status"] == "refused"
+    assert manifest["backends"]["planecut"]["open_paths"] > 0
+    assert "open" in manifest["gates"][0]["text"]
+    assert any("manifold refused" in found["text"] for found in manifest["findings"])
+    assert "NOT VALIDATED" in (result.folder.program_folder / "MAIN.MPF").read_text()
+
+
+def test_a_failure_or_a_full_disk_leaves_no_run_and_the_folder_free(tmp_path, monkeypatch):
+    path = write_stl(frame(), tmp_path / "a.stl")
+    for name, error, raised, said in (
+        ("slice_all", RuntimeError("on the way"), RuntimeError, "on the way"),
+        ("compare_all", OSError(28, "No space left on device"), SettingsError, r"\.a\.run\.unfinished: cannot be written: No space"),
+    ):  # fmt: skip
+        with monkeypatch.context() as patch:
+            patch.setattr(cross_check, name, Mock(side_effect=error))
+            with pytest.raises(raised, match=said):
+                check_job(path, tmp_path / "a.run", SETTINGS)
+        assert not (tmp_path / "a.run").exists()
+    assert check_job(path, tmp_path / "a.run", SETTINGS, resume=True).folder == RunFolder(tmp_path / "a.run")
+
+
+@pytest.mark.slow
+def test_a_machine_without_opengl_goes_on_with_the_others(tmp_path):
+    write_stl(frame(), tmp_path / "frame.stl")
+    (tmp_path / "ebamcheck.toml").write_text(WIDE_TOML)
+    done = ebamcheck(
+        "check", "frame.stl", "--layer-height", 6, "-o", "a.run",
+        cwd=tmp_path, __EGL_VENDOR_LIBRARY_FILENAMES=os.devnull, DISPLAY="",
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "backend stencil is not available" in done.stdout
+    assert "libegl1" in done.stdout
+    stencil = untimed(tmp_path / "a.run")["backends"]["stencil"]
+    assert (stencil["status"], "libegl1" in stencil["why"]) == ("unavailable", True)
+    assert (tmp_path / "a.run" / "report.html").is_file()
+
+
+@pytest.mark.slow
+def test_layers_that_cannot_be_written_end_the_job_and_name_the_file(tmp_path):
+    """Files of this command may not grow to what the layers take."""
+    write_stl(frame(), tmp_path / "frame.stl")
+    done = ebamcheck(
+        "check", "frame.stl", "--layer-height", 0.005, "--backends", FAST, "-o", "a.run",
+        cwd=tmp_path, limit_bytes=60_000,
+    )  # fmt: skip
+    assert done.returncode == 2, done.stdout + done.stderr
+    (line,) = [line for line in done.stderr.splitlines() if line.startswith("ebamcheck: error")]
+    assert re.search(r"layers/\w+\.parquet: cannot be written: .*File too large", line), line
+    assert not (tmp_path / "a.run").exists()
+    assert not [f for f in (tmp_path / ".a.run.unfinished" / "layers").iterdir() if f.suffix == ".part"]
