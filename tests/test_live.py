@@ -9,30 +9,18 @@ import shutil
 import numpy as np
 import pytest
 from command_line import ebamcheck
-from live_boxes import bad_lines, failed_checks, maker_of, run_of_box
+from live_boxes import failed_checks
 
 from ebamcheck.errors import SettingsError
 from ebamcheck.live.before import Before
-from ebamcheck.live.building import Building, answer_to
-from ebamcheck.live.height_map import Reading, Refused, check_height, parsed, reading_of
+from ebamcheck.live.building import Building
+from ebamcheck.live.height_map import Reading, Refused, check_height
 from ebamcheck.live.making import LayerMaker, Wanted
-from ebamcheck.live.publishing import CURRENT, LAYERS, certificate_of, publish, read_current
+from ebamcheck.live.publishing import CURRENT, LAYERS, certificate_of, publish
 from ebamcheck.live.relaying import check_below, finished_run
 from ebamcheck.settings.config import Config
 
 SIZE = (30, 24, 12)
-
-
-@pytest.fixture(scope="module")
-def place(tmp_path_factory):
-    """Folder with a run of a box of seven layers."""
-    return run_of_box(tmp_path_factory, SIZE)
-
-
-@pytest.fixture(scope="module")
-def maker(place):
-    with maker_of(place) as made:
-        yield made
 
 
 @pytest.fixture
@@ -258,38 +246,6 @@ def test_heat_under_a_layer_is_that_of_the_run(place):
     assert not found.before(0).laid
 
 
-# -- readings ----------------------------------------------------------------------------------------
-
-
-def test_every_bad_line_has_its_answer_and_changes_nothing(building):
-    first = building.start()
-    assert first["answer"] == "published"
-    before = read_current(building.folder)
-    for code, line in bad_lines(1, 0.0, first["thickness_mm"]):
-        answer = answer_to(building, line)
-        assert (answer["answer"], answer.get("code")) == ("refused", code), (line, answer)
-        assert answer["reason"]
-        assert read_current(building.folder) == before
-    good = answer_to(building, json.dumps({"event": "height", "done": 1, "height_mm": 1.8}).encode())
-    assert good["answer"] == "published"
-    assert good["base_mm"] == 1.8
-
-
-def test_a_repeated_reading_gets_the_same_answer_and_a_contradicting_one_none(building):
-    building.start()
-    message = {"event": "height", "done": 1, "height_mm": 1.8}
-    first = building.height(message)
-    lines = building.journal.lines
-    assert building.height(message) == {**first, "again": True}
-    assert building.journal.lines == lines
-    assert building.height({**message, "height_mm": 1.9})["code"] == "repeated"
-    assert read_current(building.folder)["name"] == first["name"]
-
-
-def test_a_reading_before_the_start_is_refused(building):
-    assert building.height({"event": "height", "done": 1, "height_mm": 1.8})["code"] == "not-started"
-
-
 @pytest.mark.parametrize("height", [0.0, -1.0, 1.7 / 25.4, 1.7e3, 1.7e-3, 17.0, 1e308, 0.3])
 def test_heights_that_no_bead_has_are_faults(height):
     with pytest.raises(Refused):
@@ -301,11 +257,7 @@ def test_heights_that_a_bead_may_have_are_none(share):
     check_height(Reading(5, 10.0 + 1.7 * share), 10.0, 11.7)
 
 
-def test_hostile_json_is_refused():
-    for line in (b"[" * 4000, b"1", b'"height"', b"", b"{" + b" " * 9000 + b"}", b'{"a": 1e999}\x00'):
-        with pytest.raises(Refused):
-            parsed(line)
-    for height, done, code in ((10**400, 1, "not-a-number"), (1.0, True, "counter")):
-        with pytest.raises(Refused) as told:
-            reading_of({"done": done, "height_mm": height})
-        assert told.value.code == code
+def test_a_reading_before_the_start_is_refused(maker, tmp_path):
+    building = Building(maker, tmp_path / "b")
+    assert building.height({"event": "height", "done": 1, "height_mm": 1.8})["code"] == "not-started"
+    building.close()

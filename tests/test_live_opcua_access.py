@@ -12,7 +12,7 @@ import sys
 
 import pytest
 from command_line import ebamcheck
-from live_boxes import maker_of, puts, run_of_box
+from live_boxes import puts
 from opcua_controls import LONGEST_S, control, free_url, on_a_desk
 
 from ebamcheck.controls.sinumerik.handshake import run_text
@@ -30,23 +30,6 @@ from ebamcheck.testing.played_control.program import planned_s, top_of
 from ebamcheck.testing.played_control.server import desk_profile
 
 SIZE = (30, 24, 5.2)
-
-
-@pytest.fixture(scope="module", autouse=True)
-def quiet():
-    installed()
-
-
-@pytest.fixture(scope="module")
-def place(tmp_path_factory):
-    """Folder with a run of a box of three layers."""
-    return run_of_box(tmp_path_factory, SIZE)
-
-
-@pytest.fixture(scope="module")
-def maker(place):
-    with maker_of(place) as made:
-        yield made
 
 
 @pytest.mark.slow

@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 import shutil
+import sys
 import tracemalloc
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 from command_line import command, ebamcheck
-from live_boxes import Server, bad_lines, failed_checks, maker_of, play, run_of_box
+from live_boxes import Server, failed_checks, play
 
+from benchmarks.live_memory import made_run
 from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.live.before import Before
-from ebamcheck.live.building import Building, answer_to
-from ebamcheck.live.heights_table import PLOT, TABLE, HeightsTable, laid_height, read_heights
+from ebamcheck.live.building import Building, Lines, answer_to, serve
+from ebamcheck.live.heights_table import PLOT, TABLE, HeightsTable, read_heights
 from ebamcheck.live.making import LayerMaker, Wanted
 from ebamcheck.live.publishing import (
     JOURNAL,
@@ -27,21 +30,10 @@ from ebamcheck.live.publishing import (
     read_current,
     read_journal,
 )
+from ebamcheck.live.relaying import finished_run
 from ebamcheck.testing.played_control.program import Growth
 
 SIZE = (30, 24, 12)
-
-
-@pytest.fixture(scope="module")
-def place(tmp_path_factory):
-    """Folder with a run of a box of seven layers."""
-    return run_of_box(tmp_path_factory, SIZE)
-
-
-@pytest.fixture(scope="module")
-def maker(place):
-    with maker_of(place) as made:
-        yield made
 
 
 # -- the journal -------------------------------------------------------------------------------------
@@ -73,12 +65,9 @@ def test_a_line_that_was_cut_off_goes_and_the_rest_stays(tmp_path):
         assert len(list(read_journal(path))) == 1
         with Journal(path) as journal:
             assert journal.lines == 1
+            with pytest.raises(SettingsError, match="another `ebamcheck live` writes to it"):
+                Journal(path)
         assert path.read_bytes() == whole[:first]
-
-
-def test_two_servers_on_one_journal_are_refused(tmp_path):
-    with Journal(tmp_path / "j"), pytest.raises(SettingsError, match="another `ebamcheck live` writes to it"):
-        Journal(tmp_path / "j")
 
 
 def test_replay_gives_the_same_bytes_and_another_build_is_refused(place, maker, tmp_path):
@@ -206,14 +195,19 @@ def test_what_is_not_validated_is_never_published(maker, tmp_path):
 
 def test_memory_does_not_grow_over_thousands_of_lines(maker, tmp_path):
     building = Building(maker, tmp_path / "b")
-    first = building.start()
+    building.start()
     good = json.dumps({"event": "height", "done": 1, "height_mm": 1.8}).encode()
-    bad = bad_lines(1, 0.0, first["thickness_mm"])
+    bad = [
+        b"\xff",
+        b'{"event": "launch"}',
+        good.replace(b"1.8", b"true"),
+        good.replace(b'"done": 1', b'"done": 5'),
+    ]
     answer_to(building, good)
 
     def round_of(count):
         for k in range(count):
-            answer_to(building, bad[k % len(bad)][1])
+            answer_to(building, bad[k % len(bad)])
             answer_to(building, good)
 
     round_of(200)
@@ -339,12 +333,56 @@ def test_heights_of_a_build_are_tabled_and_drawn_and_come_out_the_same_again(mak
     lines = [line for line in drawn.iter() if line.tag.endswith("polyline")]
     assert len(lines) == 6
     assert all(len(line.get("points").split()) == 3 for line in lines)
+    HeightsTable(tmp_path / "nowhere").write(ended=True)  # costs the table alone
     before = {name: (folder / name).read_bytes() for name in (TABLE, PLOT)}
     Building(maker, folder).close()
     assert {name: (folder / name).read_bytes() for name in before} == before
 
 
-def test_a_table_that_cannot_be_written_costs_the_table_alone(tmp_path):
-    table = HeightsTable(tmp_path / "nowhere")
-    table.add(laid_height(0, np.array([1.7]), 0.0, 1.7, 1.9, 0.0))
-    table.write(ended=True)
+SETTLED, COLUMN = 30, 50
+"""Layers after which all is loaded, the texts of the last 64 sections of settings among it; and layers of the column."""
+
+
+MOST_BLOCKS = 8.0
+"""Blocks of memory that a layer may leave, of the hundred thousand that it takes. The heat column keeps six numbers of each cell,
+joins those far below, and has them in arrays that are there already; this test keeps two blocks. What is not collected after each
+layer comes to thirty."""
+
+
+class Heights(Lines):
+    """Lines with the heights of layers that grow by a law; memory is read when the server waits for the next one."""
+
+    def __init__(self, out: io.StringIO, growth: Growth) -> None:
+        self._out, self._growth, self.blocks = out, growth, {}
+
+    def next(self, wait_s: float | None) -> bytes | None:
+        text = self._out.getvalue()
+        self._out.seek(0)
+        self._out.truncate()
+        if not text:
+            return b'{"event": "start"}'
+        answer = json.loads(text)
+        if answer["answer"] != "published":
+            assert answer["answer"] == "done", answer
+            raise EOFError
+        layer = answer["layer"]
+        self.blocks[layer] = sys.getallocatedblocks()
+        height_mm = answer["base_mm"] + self._growth.grown_mm(layer - 1, answer["thickness_mm"])
+        return json.dumps({"event": "height", "done": layer, "height_mm": height_mm}).encode()
+
+
+@pytest.mark.slow
+def test_no_layer_leaves_anything_in_a_server_of_lines(tmp_path):
+    found = finished_run(made_run(tmp_path, COLUMN))
+    out = io.StringIO()
+    lines = Heights(out, Growth(0.02, 0.05, 1))
+    with LayerMaker(found.part, found.config, found.primary) as maker:
+        building = Building(maker, tmp_path / "b")
+        try:
+            serve(building, lines, out, 60.0)
+        finally:
+            building.close()
+    layers = np.array([layer for layer in lines.blocks if layer >= SETTLED])
+    assert len(layers) >= 18
+    slope = np.polyfit(layers, [lines.blocks[layer] for layer in layers], 1)[0]
+    assert abs(slope) < MOST_BLOCKS, lines.blocks

@@ -12,8 +12,10 @@ import pytest
 import typer
 from command_line import command
 
+from ebamcheck import installed
 from ebamcheck.commands.main import app
 from ebamcheck.errors import BackendFailed
+from ebamcheck.installed import entry_points
 from ebamcheck.layers.files import read_layers
 from ebamcheck.mesh.stl import write_triangles
 from ebamcheck.plugins import registry
@@ -103,6 +105,20 @@ def test_memory_and_time_are_limited_here_as_well(tmp_path):
     with pytest.raises(BackendFailed, match=r"'planecut' timed out: took over 1e-09 s"):
         slice_to_file(cube, [1.0], tmp_path / "cube.parquet", limits=Limits(time_s=1e-9))
     assert list(tmp_path.iterdir()) == []
+
+
+def test_plugins_that_are_installed_meanwhile_are_found(tmp_path, monkeypatch):
+    names = {point.name for point in entry_points("ebamcheck.controls")}
+    assert "sinumerik-840d-sl" in names
+    monkeypatch.syspath_prepend(str(tmp_path))
+    assert {point.name for point in entry_points("ebamcheck.controls")} == names
+    info = tmp_path / "late-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: late\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text("[ebamcheck.controls]\nlate = nowhere:NOTHING\n")
+    found = {point.name: point for point in entry_points("ebamcheck.controls")}
+    assert set(found) == names | {"late"}
+    assert installed.name_and_version(found["late"].dist) == ("late", "1.0")
 
 
 # -- help and completion -----------------------------------------------------------------------------

@@ -66,7 +66,7 @@ def other_figure(path, column):
     else:
         values = table.column(column).combine_chunks()
         is_list = pa.types.is_large_list(values.type)
-        numbers = (values.flatten() if is_list else values).to_numpy(zero_copy_only=False).astype(float)
+        numbers = (values.flatten() if is_list else values).to_numpy(zero_copy_only=False).copy()
         numbers[-1] = 1.01 * numbers[-1] + 1e-3
         other = (
             pa.LargeListArray.from_arrays(values.offsets, pa.array(numbers)) if is_list else pa.array(numbers)
