@@ -105,11 +105,11 @@ class Forged:
         last, lines = FIRST, []
         for entry in self.entries:
             if entry["kind"] == "layer":
-                place = self.folder / "layers" / entry["name"]
-                entry["files"] = {name: sha256_of_file(built / "program" / name) for name in entry["files"]}
-                paper = json.loads((built / "layer.json").read_text())
+                layer = self.folder / "layers" / entry["name"]
+                entry["files"] = {name: sha256_of_file(layer / "program" / name) for name in entry["files"]}
+                paper = json.loads((layer / "layer.json").read_text())
                 paper["files"] = entry["files"]
-                (built / "layer.json").write_text(json.dumps(paper))
+                (layer / "layer.json").write_text(json.dumps(paper))
             entry["after"] = last
             lines.append(json.dumps(entry, sort_keys=True, separators=(",", ":")) + "\n")
             last = hashlib.sha256(lines[-1].encode()).hexdigest()

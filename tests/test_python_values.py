@@ -26,6 +26,7 @@ from ebamcheck.showing.plotting import ExtraMissing
 from ebamcheck_models import BLADE, CUBE
 
 SQUARE = [(0.0, 0.0), (10.0, 0.0), (10.0, 10.0), (0.0, 10.0)]
+CONFIG = Config().changed(layers={"layer_height_mm": 2.0})
 HOLE = [(4.0, 4.0), (4.0, 6.0), (6.0, 6.0), (6.0, 4.0)]
 
 
@@ -42,33 +43,17 @@ def curves(layers: Layers) -> Curves:
 
 @pytest.fixture(scope="module")
 def plan(layers: Layers) -> ScanPlan:
-    return plan_stack(layers, config_of_layers(), order="raster")
+    return plan_stack(layers, CONFIG, order="raster")
 
 
 @pytest.fixture(scope="module")
 def files(curves: Curves, plan: ScanPlan, tmp_path_factory: pytest.TempPathFactory) -> ProgramFiles:
-    return write_program(curves, plan, config_of_layers(), tmp_path_factory.mktemp("program") / "nc")
-
-
-def config_of_layers() -> Config:
-    return Config().changed(layers={"layer_height_mm": 2.0})
+    return write_program(curves, plan, CONFIG, tmp_path_factory.mktemp("program") / "nc")
 
 
 @pytest.fixture(scope="module")
 def program(files: ProgramFiles) -> NCProgram:
-    return read_program(files.main, config_of_layers())
-
-
-# -- public names ----------------------------------------------------------------------------------
-
-
-def test_every_public_name_is_there() -> None:
-    assert {"run", "check", "inspect", "save", "Run"} <= set(dir(ebamcheck))
-    for name in ebamcheck.__all__:
-        assert getattr(ebamcheck, name) is not None
-
-
-# -- one short line --------------------------------------------------------------------------------
+    return read_program(files.main, CONFIG)
 
 
 def test_every_value_is_one_short_line(
@@ -90,20 +75,16 @@ def test_every_value_is_one_short_line(
     assert len(set(lines)) == len(lines)
 
 
-def test_a_name_cannot_break_the_line() -> None:
-    part = ebamcheck.Part(np.zeros((0, 3)), np.zeros((0, 3), np.int32), name="a\x1b[31m\n" * 100)
-    line = repr(part)
+def test_names_break_no_line_and_settings_tell_what_is_not_default() -> None:
+    line = repr(ebamcheck.Part(np.zeros((0, 3)), np.zeros((0, 3), np.int32), name="a\x1b[31m\n" * 100))
     assert "\n" not in line
     assert "\x1b" not in line
     assert len(line) <= short_text.LONGEST
-
-
-def test_settings_name_what_is_not_default() -> None:
     assert repr(Config()) == "<Config: the default settings>"
-    changed = Config().changed(layers={"layer_height_mm": 2.0}, process={"bead_width_mm": 5.0})
-    assert "layers.layer_height_mm = 2.0" in repr(changed)
-    assert "process.bead_width_mm = 5.0" in repr(changed)
-    assert "machine." not in repr(changed)
+    changed = repr(CONFIG.changed(process={"bead_width_mm": 5.0}))
+    assert "layers.layer_height_mm = 2.0" in changed
+    assert "process.bead_width_mm = 5.0" in changed
+    assert "machine." not in changed
 
 
 def test_notebooks_get_tables_that_are_well_formed(
@@ -135,15 +116,10 @@ def test_layers_and_rings_are_the_columns() -> None:
     np.testing.assert_array_equal(rings, stack.points)
 
 
-def test_parts_of_a_stack_by_index_and_slice(layers: Layers) -> None:
-    assert layers[-1].index == 2
+def test_parts_of_a_stack_by_slice(layers: Layers) -> None:
     assert layers[1:].heights.tolist() == [3.0, 5.0]
     assert layers[::-1].heights.tolist() == [5.0, 3.0, 1.0]
     assert len(layers[2:1]) == 0
-    with pytest.raises(SettingsError, match="no layer 3: the stack has 3 layers, from 0"):
-        layers[3]
-    with pytest.raises(IndexError):
-        layers[-4]
 
 
 def test_pieces_of_curves_are_the_columns(curves: Curves) -> None:
