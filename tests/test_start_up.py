@@ -13,6 +13,7 @@ import typer
 from command_line import command
 
 from ebamcheck import installed
+from ebamcheck.commands.command_group import GROUPS
 from ebamcheck.commands.main import app
 from ebamcheck.errors import BackendFailed
 from ebamcheck.installed import entry_points
@@ -156,9 +157,19 @@ def test_every_command_has_an_example_that_it_takes(path):
         found.make_context(path[-1], words[len(path) + 1 :])
 
 
-def test_the_list_of_commands_says_what_each_of_them_says_of_itself():
+def test_the_help_lists_commands_by_group_with_what_each_says_of_itself():
     context = typer.Context(GROUP, info_name="ebamcheck", max_content_width=300, terminal_width=300)
-    listed = " ".join(GROUP.get_help(context).split())
+    shown = GROUP.get_help(context)
+    listed = " ".join(shown.split())
+    first = GROUP.get_help(typer.Context(GROUP, info_name="ebamcheck", terminal_width=80)).partition(
+        "\nMake:"
+    )[0]
+    # What a first user needs comes first, and is not cut short.
+    assert re.findall(r"^  (\w+) .*", first.partition("Start here:")[2], re.MULTILINE) == [
+        *GROUPS["Start here"]
+    ]
+    assert "..." not in first
+    assert "Plug-ins" not in shown, "give each command of the house a group"
     assert {"run", "slice", "config", "warm", "sign", "regress", "paper", "scan"} <= set(
         GROUP.list_commands(context)
     )
