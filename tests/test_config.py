@@ -360,7 +360,9 @@ def test_dotted_keys_are_added_to_as_well(tmp_path):
 # -- what a user is told ----------------------------------------------------------------------------
 
 
-OF_THE_LIBRARY = re.compile(r"Input should|valid (string|tuple|number|boolean|integer|dictionary)|tuple|pydantic|Undefined|dictionary|NoneType|type=")
+OF_THE_LIBRARY = re.compile(
+    r"Input should|valid (string|tuple|number|boolean|integer|dictionary)|tuple|pydantic|Undefined|dictionary|NoneType|type="
+)
 
 
 @pytest.mark.parametrize(("section", "key"), [pair for pair in all_keys() if pair[0] != "machines"])

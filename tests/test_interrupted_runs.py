@@ -7,7 +7,6 @@ import itertools
 import json
 import os
 import random
-import re
 import signal
 import subprocess
 import sys
@@ -106,18 +105,15 @@ def killed_and_resumed(job, folder, kills, seed):
     assert [path.name for path in folder.glob(".*")] == []
 
 
-@pytest.mark.slow
-def test_checks_killed_at_random_moments_come_to_the_same_bytes(tmp_path):
-    write_stl(sphere(12.0, 24, 48), tmp_path / "part.stl")
-    (tmp_path / "ebamcheck.toml").write_text(OF_BLOCKS)
-    killed_and_resumed("check", tmp_path, kills=3, seed=1)
-
-
-@pytest.mark.long
-def test_runs_killed_at_random_moments_come_to_the_same_bytes(tmp_path):
-    write_stl(frame(), tmp_path / "part.stl")
-    (tmp_path / "ebamcheck.toml").write_text(f"{OF_BLOCKS}layers.layer_height_mm = 6.0\n{WIDE_TOML}")
-    killed_and_resumed("run", tmp_path, kills=9, seed=0)
+@pytest.mark.parametrize(
+    ("job", "kills", "seed"),
+    [pytest.param("check", 3, 1, marks=pytest.mark.slow), pytest.param("run", 9, 0, marks=pytest.mark.long)],
+)
+def test_jobs_killed_at_random_moments_come_to_the_same_bytes(job, kills, seed, tmp_path):
+    write_stl(frame() if job == "run" else sphere(12.0, 24, 48), tmp_path / "part.stl")
+    thick = f"layers.layer_height_mm = 6.0\n{WIDE_TOML}" if job == "run" else ""
+    (tmp_path / "ebamcheck.toml").write_text(OF_BLOCKS + thick)
+    killed_and_resumed(job, tmp_path, kills, seed)
 
 
 # -- blocks of layers ----------------------------------------------------------------------------------
@@ -360,18 +356,3 @@ def test_a_machine_without_opengl_goes_on_with_the_others(tmp_path):
     stencil = untimed(tmp_path / "a.run")["backends"]["stencil"]
     assert (stencil["status"], "libegl1" in stencil["why"]) == ("unavailable", True)
     assert (tmp_path / "a.run" / "report.html").is_file()
-
-
-@pytest.mark.slow
-def test_layers_that_cannot_be_written_end_the_job_and_name_the_file(tmp_path):
-    """Files of this command may not grow to what the layers take."""
-    write_stl(frame(), tmp_path / "frame.stl")
-    done = ebamcheck(
-        "check", "frame.stl", "--layer-height", 0.005, "--backends", FAST, "-o", "a.run",
-        cwd=tmp_path, limit_bytes=60_000,
-    )  # fmt: skip
-    assert done.returncode == 2, done.stdout + done.stderr
-    (line,) = [line for line in done.stderr.splitlines() if line.startswith("ebamcheck: error")]
-    assert re.search(r"layers/\w+\.parquet: cannot be written: .*File too large", line), line
-    assert not (tmp_path / "a.run").exists()
-    assert not [f for f in (tmp_path / ".a.run.unfinished" / "layers").iterdir() if f.suffix == ".part"]

@@ -237,15 +237,6 @@ def test_a_control_whose_programs_are_not_read_is_refused(place):
         LayerMaker(found.part, Config().changed(machine={"control": "3dthesis"}))
 
 
-def test_heat_under_a_layer_is_that_of_the_run(place):
-    found = finished_run(place / "box.run")
-    plan = found.plan
-    for layer in (1, 3, 6):
-        entered = found.before(layer).rested(plan.metrics["wait_s"].iloc[layer])
-        assert entered.surface_k == pytest.approx(plan.metrics["enter_k"].iloc[layer], rel=0.12)
-    assert not found.before(0).laid
-
-
 @pytest.mark.parametrize("height", [0.0, -1.0, 1.7 / 25.4, 1.7e3, 1.7e-3, 17.0, 1e308, 0.3])
 def test_heights_that_no_bead_has_are_faults(height):
     with pytest.raises(Refused):

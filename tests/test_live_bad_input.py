@@ -144,8 +144,8 @@ def test_a_rest_under_the_least_layer_that_no_gate_lets_through_ends_the_build_a
     assert building.finished
 
 
-@pytest.mark.parametrize("place", ["certificate", "current"])
-def test_a_full_disk_keeps_the_layer_and_the_server_goes_on_when_there_is_room(place, building, monkeypatch):
+@pytest.mark.parametrize("step", ["certificate", "current"])
+def test_a_full_disk_keeps_the_layer_and_the_server_goes_on_when_there_is_room(step, building, monkeypatch):
     building.start()
     before = read_current(building.folder)
     full = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
@@ -154,7 +154,7 @@ def test_a_full_disk_keeps_the_layer_and_the_server_goes_on_when_there_is_room(p
         def no_room(*given):
             raise full
 
-        patch.setattr(publishing, "values_as_toml" if place == "certificate" else "write_synced", no_room)
+        patch.setattr(publishing, "values_as_toml" if step == "certificate" else "write_synced", no_room)
         kept = answer_to(building, line(done=1, height_mm=1.8))
         assert kept["answer"] == "kept"
         assert "No space left" in kept["reason"]

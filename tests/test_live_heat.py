@@ -29,7 +29,6 @@ from ebamcheck.live.verifying import FollowedLayers, verify_build
 from ebamcheck.metal import Surface
 from ebamcheck.program import read_program
 from ebamcheck.settings.config import Config
-from ebamcheck.writing.bead_ends import planned_path
 
 THICKNESS_MM = 1.7
 
@@ -270,22 +269,6 @@ def hump(height_mm):
     surface._share[inside] = 1.0
     surface._over_mm = np.where(inside, np.where(x < 35, 0.5, -0.5) * height_mm, 0.0)
     return surface
-
-
-def test_a_layer_mends_the_surface_that_it_lies_on(stack):
-    made, _ = stack
-    level = planned_path(made.beads, made.plan, CONFIG)
-    uneven = planned_path(made.beads, replace(made.plan, stands=hump(1.0)), CONFIG)
-
-    def laid(path, x_side):
-        first, last = path.track_starts[0], path.track_starts[path.layer_starts[1]]
-        middle = 0.5 * (path.segment_start[first:last] + path.end[first:last])
-        length = np.hypot(*(path.end[first:last] - path.segment_start[first:last]).T)
-        there = (middle[:, 0] < 30) if x_side < 0 else (middle[:, 0] > 40)
-        return float((path.width[first:last] * length)[there].sum() / length[there].sum())
-
-    assert laid(uneven, -1) < 0.95 * laid(level, -1)
-    assert laid(uneven, 1) > 1.05 * laid(level, 1)
 
 
 def test_a_surface_that_is_too_uneven_refuses_the_layer(stack):

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-import io
 import json
 import shutil
-import sys
 import tracemalloc
 from xml.etree import ElementTree
 
@@ -15,10 +13,9 @@ import pytest
 from command_line import command, ebamcheck
 from live_boxes import Server, failed_checks, play
 
-from benchmarks.live_memory import made_run
 from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.live.before import Before
-from ebamcheck.live.building import Building, Lines, answer_to, serve
+from ebamcheck.live.building import Building, answer_to
 from ebamcheck.live.heights_table import PLOT, TABLE, HeightsTable, read_heights
 from ebamcheck.live.making import LayerMaker, Wanted
 from ebamcheck.live.publishing import (
@@ -30,7 +27,6 @@ from ebamcheck.live.publishing import (
     read_current,
     read_journal,
 )
-from ebamcheck.live.relaying import finished_run
 from ebamcheck.testing.played_control.program import Growth
 
 SIZE = (30, 24, 12)
@@ -302,14 +298,6 @@ def test_a_server_killed_in_the_middle_goes_on_where_it_was(place, tmp_path):
             assert file.read_bytes() == (tmp_path / "w" / LAYERS / name / "program" / file.name).read_bytes()
 
 
-@pytest.mark.parametrize(
-    "options", [{"drift": float("nan")}, {"drift": 5.0}, {"noise": -0.1}, {"noise": 2.0}]
-)
-def test_growth_that_no_bead_has_is_refused(options):
-    with pytest.raises(SettingsError):
-        Growth(**options)
-
-
 def test_heights_of_a_build_are_tabled_and_drawn_and_come_out_the_same_again(maker, tmp_path):
     folder = tmp_path / "b"
     building = Building(maker, folder)
@@ -337,52 +325,3 @@ def test_heights_of_a_build_are_tabled_and_drawn_and_come_out_the_same_again(mak
     before = {name: (folder / name).read_bytes() for name in (TABLE, PLOT)}
     Building(maker, folder).close()
     assert {name: (folder / name).read_bytes() for name in before} == before
-
-
-SETTLED, COLUMN = 30, 50
-"""Layers after which all is loaded, the texts of the last 64 sections of settings among it; and layers of the column."""
-
-
-MOST_BLOCKS = 8.0
-"""Blocks of memory that a layer may leave, of the hundred thousand that it takes. The heat column keeps six numbers of each cell,
-joins those far below, and has them in arrays that are there already; this test keeps two blocks. What is not collected after each
-layer comes to thirty."""
-
-
-class Heights(Lines):
-    """Lines with the heights of layers that grow by a law; memory is read when the server waits for the next one."""
-
-    def __init__(self, out: io.StringIO, growth: Growth) -> None:
-        self._out, self._growth, self.blocks = out, growth, {}
-
-    def next(self, wait_s: float | None) -> bytes | None:
-        text = self._out.getvalue()
-        self._out.seek(0)
-        self._out.truncate()
-        if not text:
-            return b'{"event": "start"}'
-        answer = json.loads(text)
-        if answer["answer"] != "published":
-            assert answer["answer"] == "done", answer
-            raise EOFError
-        layer = answer["layer"]
-        self.blocks[layer] = sys.getallocatedblocks()
-        height_mm = answer["base_mm"] + self._growth.grown_mm(layer - 1, answer["thickness_mm"])
-        return json.dumps({"event": "height", "done": layer, "height_mm": height_mm}).encode()
-
-
-@pytest.mark.slow
-def test_no_layer_leaves_anything_in_a_server_of_lines(tmp_path):
-    found = finished_run(made_run(tmp_path, COLUMN))
-    out = io.StringIO()
-    lines = Heights(out, Growth(0.02, 0.05, 1))
-    with LayerMaker(found.part, found.config, found.primary) as maker:
-        building = Building(maker, tmp_path / "b")
-        try:
-            serve(building, lines, out, 60.0)
-        finally:
-            building.close()
-    layers = np.array([layer for layer in lines.blocks if layer >= SETTLED])
-    assert len(layers) >= 18
-    slope = np.polyfit(layers, [lines.blocks[layer] for layer in layers], 1)[0]
-    assert abs(slope) < MOST_BLOCKS, lines.blocks

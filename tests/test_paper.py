@@ -21,12 +21,11 @@ from ebamcheck.errors import BackendFailed, ExitCode, SettingsError
 from ebamcheck.layers.stack import from_rings
 from ebamcheck.mesh.part import from_arrays
 from ebamcheck.plugins import registry
-from ebamcheck_reports.charts import Series, log_chart
 from ebamcheck_reports.paper import layer_figures, paper, published, timing
 from ebamcheck_reports.paper.layer_figures import find_subject
 from ebamcheck_reports.paper.page import Reproduction, as_text, document, reproduce
 from ebamcheck_reports.paper.polar import published_record
-from ebamcheck_reports.paper.published import FULL, QUICK, Effort
+from ebamcheck_reports.paper.published import Effort
 
 TINY = Effort("tiny", finest_mm=0.8, layer_step=1500, literal_layers=2, polar_layers=4)
 
@@ -70,15 +69,6 @@ def test_ranges_of_the_paper_give_45_9_and_55_1_per_cent_but_not_34_2() -> None:
     assert published_record()["claimed_reduction"] == 0.342
     size_mb = (timing.STL_HEADER_BYTES + timing.STL_FACET_BYTES * published.FACETS) / 2**20
     assert size_mb == pytest.approx(published.SIZES_MB[-1], abs=0.01)
-
-
-def test_swapping_0_4_and_0_8_is_all_that_the_papers_list_needs() -> None:
-    printed = list(published.TOLERANCES_MM)
-    assert list(published.SIZES_MB) == sorted(published.SIZES_MB)
-    assert printed != sorted(printed, reverse=True)
-    printed[1], printed[2] = printed[2], printed[1]
-    assert tuple(printed) == published.tolerances_by_size() == FULL.tolerances_mm
-    assert QUICK.tolerances_mm == published.tolerances_by_size()[:6]
 
 
 # -- the page ------------------------------------------------------------------------------------------
@@ -254,20 +244,3 @@ def test_command_writes_both_files_or_none(
 
 
 # -- pieces --------------------------------------------------------------------------------------------
-
-
-def test_decades_are_equally_wide_on_logarithmic_axes() -> None:
-    chart = log_chart(
-        [Series("a", [10.0, 100.0, 1000.0], [1.0, 0.1, math.nan])],
-        Series("b", [100.0], [10.0]),
-        "x <mm>",
-        "y",
-    )
-    tree = ElementTree.fromstring(f"<div>{chart}</div>")
-    line = next(p for p in tree.iter("path") if p.get("stroke-width") == "7")
-    places = [tuple(map(float, p.split(","))) for p in re.findall(r"M([-\d.]+,[-\d.]+)h0", line.get("d", ""))]
-    assert len(places) == 2
-    ticks = {t.text: t for t in tree.iter("text")}
-    assert float(ticks["100"].get("x", "")) == pytest.approx(places[1][0], abs=0.1)
-    assert places[1][1] > places[0][1]
-    assert "There is nothing to draw" in log_chart([], Series("b", [0.0], [1.0]), "x", "y")

@@ -15,7 +15,6 @@ from slicers_here import slicers_here
 
 from ebamcheck.errors import ExitCode, SettingsError
 from ebamcheck.json_values import sha256_of_file
-from ebamcheck.layers.files import LayerFile
 from ebamcheck.mesh.part import from_arrays
 from ebamcheck.pipeline import check_job, run_job
 from ebamcheck.record.run_folder import RunFolder
@@ -244,24 +243,3 @@ def test_a_check_slices_and_compares_and_makes_no_program(tmp_path, tmp_path_fac
     assert "✔ AGREED" in page
     assert "program/" not in page
     assert all(check.passed for check in verify_run(tmp_path / "check.run", path))
-
-
-@pytest.mark.slow
-def test_the_size_of_blocks_changes_nothing(tmp_path):
-    """1000 points a block, the least there is, are some forty layers of this part."""
-    path = write_stl(sphere(10.0, 24), tmp_path / "a.stl")
-    settings = SETTINGS.changed(layers={"layer_height_mm": 0.1})
-    folders = []
-    for points in (1_000, 4_000_000):
-        result = check_job(
-            path, tmp_path / f"{points}.run", settings.changed(slicing={"block_points": points})
-        )
-        folders.append(result.folder.path)
-    with LayerFile(folders[0] / "layers" / "planecut.parquet") as file:
-        assert len(file) == 200
-        assert len(file.borders) > 5
-    for name in ("layers.csv", "compare.csv"):
-        assert (folders[0] / name).read_bytes() == (folders[1] / name).read_bytes()
-    small, large = (untimed(folder) for folder in folders)
-    assert small["comparison"] == large["comparison"]
-    assert small["backends"] == large["backends"]

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import shapely
 from command_line import FAST, WIDE, WIDE_TOML, ebamcheck, frame, started, write_stl
-from parts import BOX_FACES, box, moved, sphere
+from parts import box, moved, sphere
 
 from ebamcheck.commands.run import preflight_command, preflight_text
 from ebamcheck.errors import InputError, SettingsError
-from ebamcheck.layers.heights import crossing_counts, heights_within, layer_heights
+from ebamcheck.layers.heights import heights_within, layer_heights
 from ebamcheck.mesh.files import load
 from ebamcheck.mesh.part import from_arrays
 from ebamcheck.pipeline import check_job, run_job
@@ -93,18 +93,22 @@ def test_what_cannot_work_is_found(block, sections, failed):
     assert levels(block, **sections) == failed
 
 
-@pytest.mark.parametrize(("change", "told", "remedy"), [
-    ("open", "open edges", "close the mesh"),
-    ("turned", "every facet faces inwards", "turn them in the model, or use --fix-orientation"),
-])  # fmt: skip
-def test_a_faulty_mesh_is_told_its_own_remedy_once(tmp_path, change, told, remedy):
+@pytest.mark.parametrize(
+    ("change", "told", "remedy"),
+    [
+        ("open", "open edges", "close the mesh"),
+        ("turned", "every facet faces inwards", "turn them in the model, or use --fix-orientation"),
+    ],
+)
+def test_a_faulty_mesh_is_told_its_own_remedy_once_and_is_sliced_all_the_same(tmp_path, change, told, remedy):
     part = box((0, 0, 0), (40, 40, 30))
     faces = part.faces[:-1] if change == "open" else part.faces[:, ::-1]
-    file = stl(tmp_path, from_arrays(part.vertices, faces))
-    mesh = next(check for check in ready(file, Config()).preflight.checks if check.name == "mesh")
+    found = ready(stl(tmp_path, from_arrays(part.vertices, faces)), Config()).preflight
+    (mesh,) = [check for check in found.checks if check.level == "fault"]
+    assert (mesh.name, mesh.remedy) == ("mesh", remedy)
     assert told in mesh.text
-    assert mesh.remedy == remedy
     assert remedy not in mesh.text
+    found.stop("run")
 
 
 def test_a_part_beside_the_travel_is_told_where_to_go(tmp_path):
@@ -122,14 +126,6 @@ def test_beads_run_within_the_part(tmp_path):
     part = stl(tmp_path, box((-1002.9, 0, 0), (-900, 60, 40)))
     assert levels(part) == {}
     assert levels(part, scan={"contour_offset_mm": 2.0}) == {"travel X": "fault"}
-
-
-def test_an_open_mesh_is_a_fault_and_is_sliced_all_the_same(tmp_path):
-    whole = box((0, 0, 0), (40, 30, 12))
-    part = stl(tmp_path, from_arrays(whole.vertices, BOX_FACES[:-1]))
-    found = ready(part, Config()).preflight
-    assert [c.name for c in found.checks if c.level == "fault"] == ["mesh"]
-    found.stop("run")
 
 
 # -- units -------------------------------------------------------------------------------------------
@@ -203,19 +199,16 @@ def test_a_clamp_in_the_way_stops_a_run_and_not_a_check(block, tmp_path):
 # -- Preflight: work that asks first, heights and files that are refused, and the commands that it speaks through --
 
 
-def test_points_are_those_of_the_slices():
+def test_points_are_those_of_the_slices_and_the_mean_section_that_of_a_prism():
     part = sphere(20.0)
     heights = layer_heights(part, 0.7)
     work = workload(part, heights, Config(), "check")
-    assert (work.layers, work.points) == (len(heights), int(crossing_counts(part, heights).sum()))
-    assert work.points == len(slice_part(part, heights).points)
-    assert work.islands == 0
-
-
-def test_the_mean_section_is_that_of_a_prism():
-    area, border = mean_section(frame())
-    assert area == pytest.approx(1376.0)
-    assert border == pytest.approx(4 * 40 + 2 * (14 + 16))
+    assert (work.layers, work.points, work.islands) == (
+        len(heights),
+        len(slice_part(part, heights).points),
+        0,
+    )
+    assert mean_section(frame()) == pytest.approx((1376.0, 4 * 40 + 2 * (14 + 16)))
 
 
 def test_more_of_everything_is_more_work(block, tmp_path):
@@ -331,5 +324,4 @@ def test_the_preflight_is_a_command(block, tmp_path):
     done = started("preflight", block.name, "--place", "-990,0", cwd=tmp_path)
     assert (done.returncode, done.stderr) == (1, "")
     assert "beyond machine.travel_min_mm" in done.stdout
-    assert ebamcheck("preflight", "gone.stl", cwd=tmp_path).returncode == 2
     assert ebamcheck("preflight", block.name, "--units", "furlong", cwd=tmp_path).returncode == 2
