@@ -28,7 +28,6 @@ from ebamcheck.commands.command_group import guarded
 from ebamcheck.errors import ExitCode, SettingsError
 from ebamcheck.layers.files import KeptBlocks, count_kept, read_parquet
 from ebamcheck.layers.heights import layer_blocks
-from ebamcheck.mesh.files import load
 from ebamcheck.mesh.part import from_arrays
 from ebamcheck.pipeline import check_job, cross_check, run_job
 from ebamcheck.plugins import registry
@@ -134,20 +133,30 @@ def cut(ball, folder, keep=True):
     return slice_all(part, heights, settings, folder, borders=borders, keep_blocks=keep)["planecut"]
 
 
-def test_blocks_that_are_kept_are_not_cut_again(ball, tmp_path):
+@pytest.mark.parametrize("spoil", ["", "truncated", "other part", "other heights"])
+def test_a_block_that_is_kept_is_not_cut_again_and_one_that_does_not_fit_is(ball, tmp_path, spoil):
     part, heights, borders = ball
+    file = tmp_path / "planecut.parquet"
     sound = cut(ball, tmp_path).made().read_bytes()
     assert [path.name for path in tmp_path.iterdir()] == ["planecut.parquet"]
-    file = tmp_path / "planecut.parquet"
+    block = read_parquet(file).block(0, int(borders[1]))
     kept = KeptBlocks(file, part.sha256, "planecut")
-    block = read_parquet(file).block(int(borders[1]), int(borders[2]))
-    kept.write(block)
-    assert (cut(ball, tmp_path).made().read_bytes(), count_kept(file)) == (sound, 0)
     # A block that says of itself that it was not cut now.
     told = block.labelled(dropped=np.full(len(block), 7))
+    if spoil == "other heights":
+        told = told.labelled(heights=np.concatenate([heights[:1], told.heights[1:] + 1e-9]))
+    if spoil == "other part":
+        told = told.labelled(part="0" * 64)
     kept.write(told)
-    found = read_parquet(cut(ball, tmp_path).made())
-    assert found.dropped.tolist() == [7 if borders[1] <= k < borders[2] else 0 for k in range(heights.size)]
+    (path,) = kept.folder.iterdir()
+    if spoil == "truncated":
+        path.write_bytes(path.read_bytes()[:-100])
+    found = cut(ball, tmp_path).made()
+    assert count_kept(file) == 0
+    if spoil:
+        assert found.read_bytes() == sound
+    else:
+        assert read_parquet(found).dropped.tolist() == [7 * (k < borders[1]) for k in range(heights.size)]
 
 
 def test_what_is_cut_as_fast_as_it_is_written_is_not_kept(ball, tmp_path):
@@ -158,52 +167,6 @@ def test_what_is_cut_as_fast_as_it_is_written_is_not_kept(ball, tmp_path):
         kept.write(slice_part(part, heights[first:past], "planecut"))
     assert not kept.is_worth(0.0)
     assert kept.is_worth(60.0)
-
-
-@pytest.mark.in_turn(3)
-@pytest.mark.parametrize("spoil", ["truncated", "other part", "other heights"])
-def test_a_block_that_does_not_fit_is_cut_anew(ball, tmp_path, spoil):
-    part, heights, borders = ball
-    file = tmp_path / "planecut.parquet"
-    sound = cut(ball, tmp_path).made().read_bytes()
-    block = read_parquet(file).block(0, int(borders[1]))
-    kept = KeptBlocks(file, part.sha256, "planecut")
-    told = block.labelled(dropped=np.full(len(block), 7))
-    if spoil == "other heights":
-        told = told.labelled(heights=np.concatenate([heights[:1], told.heights[1:] + 1e-9]))
-    if spoil == "other part":
-        told = told.labelled(part="0" * 64)
-    kept.write(told)
-    (path,) = kept.folder.iterdir()
-    if spoil == "truncated":
-        path.write_bytes(path.read_bytes()[:-100])
-    assert cut(ball, tmp_path).made().read_bytes() == sound
-
-
-@pytest.mark.slow
-def test_a_run_killed_while_it_slices_keeps_its_blocks(tmp_path):
-    write_stl(sphere(12.0, 24, 48), tmp_path / "part.stl")
-    slow = "slicing.backends = ['planecut', 'embree']\nslicing.block_points = 1000\n"
-    (tmp_path / "ebamcheck.toml").write_text(slow + "layers.layer_height_mm = 0.025")
-    layers = tmp_path / ".a.run.unfinished" / "layers"
-    run = subprocess.Popen(
-        command("check", "part.stl", "-o", "a.run"), cwd=tmp_path, start_new_session=True,
-        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-    )  # fmt: skip
-    while count_kept(layers / "embree.parquet") < 2:
-        assert run.poll() is None
-        time.sleep(0.002)
-    os.killpg(run.pid, signal.SIGKILL)
-    run.wait()
-    done = ebamcheck("check", "part.stl", "-o", "a.run", "--resume", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert "embree: " in done.stderr
-    assert "blocks of layers of the former run are kept" in done.stderr
-    kept = read_parquet(tmp_path / "a.run" / "layers" / "embree.parquet")
-    anew = slice_part(load(tmp_path / "part.stl"), kept.heights, "embree")
-    assert [getattr(kept, name).tobytes() for name in ("points", "ring_starts", "layer_starts")] == [
-        getattr(anew, name).tobytes() for name in ("points", "ring_starts", "layer_starts")
-    ]
 
 
 # -- temporary folders and files ---------------------------------------------------------------------------
@@ -271,48 +234,35 @@ def test_an_interrupt_inside_compiled_code_is_an_interrupt(led_to_it, code):
     assert end.value.exit_code == code
 
 
-@pytest.fixture(scope="module")
-def plate(tmp_path_factory):
-    """A finished run with every backend there is, of a plate with a hole."""
-    return plate_of_every_slicer(tmp_path_factory)
+def worker_of(process, name):
+    # A worker that ends while it is looked at has no command line any more.
+    with contextlib.suppress(psutil.Error):
+        for child in psutil.Process(process.pid).children():
+            if child.cmdline()[1:5] == ["-P", "-m", "ebamcheck.slicers.worker", name]:
+                return child
+    return None
 
 
 @pytest.mark.slow
-def test_a_killed_backend_is_told_and_the_others_are_whole(plate, tmp_path):
-    path = plate[1]
+def test_a_killed_backend_is_told_and_the_others_are_whole(tmp_path_factory, tmp_path):
+    sound, path = plate_of_every_slicer(tmp_path_factory)
     (tmp_path / "ebamcheck.toml").write_text(WIDE_TOML)
-    run = subprocess.Popen(
-        command("run", path, "--layer-height", 6, "-o", "k.run"),
-        cwd=tmp_path,
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-    victims = []
-    while not victims:
+    arguments = command("run", path, "--layer-height", 6, "-o", "k.run")
+    run = subprocess.Popen(arguments, cwd=tmp_path, stdout=subprocess.PIPE, text=True)
+    while (victim := worker_of(run, "embree")) is None:
         assert run.poll() is None
-        # A worker that ends while it is looked at has no command line any more.
-        with contextlib.suppress(psutil.Error):
-            victims = [
-                p
-                for p in psutil.Process(run.pid).children()
-                if p.cmdline()[1:5] == ["-P", "-m", "ebamcheck.slicers.worker", "embree"]
-            ]
-    victims[0].kill()
+    victim.kill()
     text = run.communicate()[0]
     assert run.returncode == 0
     assert "3 methods agree on 2 of 2 layers; lost: embree killed" in text
-    manifest = untimed(tmp_path / "k.run")
-    assert manifest["backends"]["embree"]["status"] == "killed"
-    assert "SIGKILL" in manifest["backends"]["embree"]["why"]
-    whole = contents(plate[0].folder.path)
-    for name in ("planecut", "stencil", "manifold"):
-        if manifest["backends"][name]["status"] == "done":
-            assert (tmp_path / "k.run" / "layers" / f"{name}.parquet").read_bytes() == whole[
-                f"layers/{name}.parquet"
-            ]
-    assert {n: b for n, b in contents(tmp_path / "k.run").items() if n.startswith("program/")} == {
-        n: b for n, b in whole.items() if n.startswith("program/")
-    }
+    backends = untimed(tmp_path / "k.run")["backends"]
+    assert backends["embree"]["status"] == "killed"
+    assert "SIGKILL" in backends["embree"]["why"]
+    whole, found = contents(sound.folder.path), contents(tmp_path / "k.run")
+    same = [n for n in whole if n.startswith("program/")]
+    same += [f"layers/{n}.parquet" for n, record in backends.items() if record["status"] == "done"]
+    assert len(same) > 4
+    assert {n: found[n] for n in same} == {n: whole[n] for n in same}
 
 
 def test_of_two_methods_one_fails(tmp_path):
