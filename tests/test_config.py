@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 import tomlkit
 from command_line import ebamcheck
-from pydantic import BaseModel
 
 from ebamcheck.accuracy.measurement import Case, Tolerance, read_tolerances
 from ebamcheck.commands.options import assignments
@@ -25,7 +24,7 @@ from ebamcheck.mesh.part_source import read_plate
 from ebamcheck.nc.templates import ProcessValues
 from ebamcheck.plugins import registry
 from ebamcheck.plugins.registry import plugin
-from ebamcheck.settings.base import Between, Section, explanations
+from ebamcheck.settings.base import Between, explanations
 from ebamcheck.settings.checking import EXAMPLES, PLACEHOLDERS, TEMPLATES, as_toml, values_as_toml
 from ebamcheck.settings.config import Config, load_config, validated
 from ebamcheck.settings.files import merge, merged, write_new
@@ -49,6 +48,8 @@ def all_keys():
 def test_without_a_file_the_defaults_hold():
     assert load_config() == Config()
     assert Config().layer_height_mm == pytest.approx(1.6755, abs=1e-4)  # 2/3 w h v = pi/4 d^2 w
+    config = Config().changed(process={"machining_allowance_mm": 1.25})
+    assert config.contour_offset_mm == pytest.approx(0.5 * config.process.bead_width_mm - 1.25)
 
 
 def test_printed_settings_read_back_the_same(tmp_path):
@@ -160,24 +161,12 @@ def test_changed_settings_are_checked_anew():
         Config().changed(curves={"corner_angle_deg": 200.0})
 
 
-def test_an_allowance_for_machining_moves_the_contour_beads_outward() -> None:
-    config = Config().changed(process={"machining_allowance_mm": 1.25})
-    assert config.contour_offset_mm == pytest.approx(0.5 * config.process.bead_width_mm - 1.25)
-
-
 def test_an_unknown_plugin_is_told_the_nearest_known_one():
     with pytest.raises(SettingsError, match=r"'fanuk' in ebamcheck.controls .did you mean 'fanuc'"):
         plugin("ebamcheck.controls", "fanuk")
 
 
 # -- Every number of the settings has a range that makes sense, and says so where a value is outside of it --
-
-
-SECTIONS: dict[str, type[Section]] = {
-    name: kind
-    for name, field in Config.model_fields.items()
-    if isinstance(kind := field.annotation, type) and issubclass(kind, Section)
-}
 
 
 def bounds_in(kind: Any, metadata: tuple[Any, ...] = ()) -> list[Between | None]:
@@ -192,55 +181,34 @@ def bounds_in(kind: Any, metadata: tuple[Any, ...] = ()) -> list[Between | None]
     return []
 
 
-def number_fields() -> dict[str, list[Between | None]]:
-    slicers = {
-        name: registry.slicer(name).Settings for name in (*registry.house_slicers(), *registry.witnesses())
-    }
-    kinds: dict[str, type[BaseModel]] = {
-        **slicers,
-        **SECTIONS,
-        "process.keep_out": KeepOut,
-        "matrix": Case,
-        "tolerances": Tolerance,
-    }
-    found = {}
-    for section, kind in kinds.items():
-        for name, field in kind.model_fields.items():
-            bounds = bounds_in(field.annotation, tuple(field.metadata))
-            if bounds:
-                found[f"{section}.{name}"] = bounds
-    return found
+SLICERS = {
+    name: registry.slicer(name).Settings for name in (*registry.house_slicers(), *registry.witnesses())
+}
+SECTIONS = {name: field.annotation for name, field in Config.model_fields.items() if name != "machines"}
+OTHERS = {"process.keep_out": KeepOut, "matrix": Case, "tolerances": Tolerance}
+NUMBERS = {
+    (section, key): (str(field.annotation), bounds)
+    for section, kind in {**SLICERS, **SECTIONS, **OTHERS}.items()
+    for key, field in kind.model_fields.items()
+    if (bounds := bounds_in(field.annotation, tuple(field.metadata)))
+}
+PLAIN = [
+    (*name, bounds[0])
+    for name, (kind, bounds) in NUMBERS.items()
+    if name[0] in SECTIONS and len(bounds) == 1 and "tuple" not in kind and "dict" not in kind
+]
+"""Fields that hold one number, by section and key."""
 
 
 def test_every_number_has_a_finite_range():
-    found = number_fields()
-    assert len(found) > 100
-    assert {
-        "layers.layer_height_mm",
-        "process.keep_out.z_mm",
-        "embree.rays_per_call",
-        "part.place_at_mm",
-    } <= set(found)
-    assert [name for name, bounds in found.items() if None in bounds] == []
-    for name, bounds in found.items():
-        assert all(math.isfinite(b.least) and b.least < b.greatest <= 1e12 for b in bounds if b), name
+    assert len(NUMBERS) > 100
+    assert len(PLAIN) > 80
+    assert [name for name, (_, bounds) in NUMBERS.items() if None in bounds] == []
+    for name, (_, bounds) in NUMBERS.items():
+        assert all(math.isfinite(b.least) and b.least < b.greatest <= 1e12 for b in bounds), name
 
 
-def plain_numbers() -> list[tuple[str, str, Between]]:
-    """Fields that hold one number, by section and key."""
-    found = []
-    for section, kind in SECTIONS.items():
-        for key, field in kind.model_fields.items():
-            kinds = {field.annotation, *get_args(field.annotation)}
-            numbers = bounds_in(field.annotation, tuple(field.metadata))
-            whole = any(k in (int, float) or get_origin(k) is Annotated for k in kinds)
-            tuples = any("tuple" in str(k) for k in kinds)
-            if len(numbers) == 1 and whole and not tuples and numbers[0] is not None:
-                found.append((section, key, numbers[0]))
-    return found
-
-
-@pytest.mark.parametrize(("section", "key", "bounds"), plain_numbers(), ids=lambda value: str(value))
+@pytest.mark.parametrize(("section", "key", "bounds"), PLAIN, ids=str)
 def test_what_is_outside_is_refused_with_the_range(section, key, bounds):
     beyond = [bounds.least - max(1.0, abs(bounds.least)), bounds.greatest * 2 + 1, 1e300, -1e300]
     for value in (*beyond, True, False, math.nan, math.inf, "1"):
@@ -304,29 +272,23 @@ def test_keys_that_are_taken_out_come_back_and_no_other_line_changes(tmp_path, s
     assert (merge(path).added, made.unknown) == ([], [])
 
 
-def test_new_keys_bring_their_explanations_and_comments_stay(tmp_path):
+def test_new_keys_bring_their_explanations_comments_stay_and_unknown_keys_are_told(tmp_path):
     path = tmp_path / "ebamcheck.toml"
     path.write_text(OURS)
     done = ebamcheck("config", "--merge", path, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     text = path.read_text()
-    for line in OURS.splitlines():
-        assert line in text
+    assert all(line in text for line in OURS.splitlines())
     assert "added process.voltage_kv = 60.0" in done.stdout
     assert "added process.bead_width_mm" not in done.stdout
     assert "# Accelerating voltage.\nvoltage_kv = 60.0\n" in text
     assert load_config(path).slicing.settings == {"planecut": {"overlaps": "keep"}}
-
-
-def test_unknown_keys_are_told_and_kept(tmp_path):
-    path = tmp_path / "ebamcheck.toml"
     path.write_text("[process]\nbead_widht_mm = 5.0\n[bead]\nwidth = 1\n")
     done = ebamcheck("config", "--merge", path, cwd=tmp_path)
     assert done.returncode == 2
-    told = done.stderr.splitlines()
-    assert len(told) == 2
-    assert "process.bead_widht_mm: unknown key (did you mean 'bead_width_mm'?)" in told[0]
-    assert "bead: unknown key" in told[1]
+    of_process, of_bead = done.stderr.splitlines()
+    assert "process.bead_widht_mm: unknown key (did you mean 'bead_width_mm'?)" in of_process
+    assert "bead: unknown key" in of_bead
     assert tomllib.loads(path.read_text())["process"]["bead_widht_mm"] == 5.0
 
 
