@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from command_line import ebamcheck
 from live_boxes import failed_checks, made_again
+from measured_surfaces import SIZE as SIZE
 from measured_surfaces import level_metal, map_of, surface_of, write_csv
 from slicers_here import runs_cut_here as runs_cut_here
 
