@@ -9,7 +9,6 @@ import signal
 import subprocess
 from functools import partial
 
-import numpy as np
 import psutil
 import pytest
 from command_line import FAST, WIDE_TOML, command, ebamcheck, frame, started, write_stl
@@ -17,6 +16,7 @@ from parts import box
 
 from ebamcheck.errors import ExitCode
 from ebamcheck.layers.files import read_layers
+from ebamcheck.mesh.part import from_arrays
 from ebamcheck.settings.config import Config, load_config
 
 AREA_MM2 = 40.0 * 40.0 - 14.0 * 16.0
@@ -79,14 +79,9 @@ def one_line(done, code, *parts):
 
 def test_version_help_and_start_are_there(place):
     assert re.fullmatch(r"ebamcheck \d+\.\d+\.\d+\n", started("--version", cwd=place).stdout)
-    text = ebamcheck("--help", cwd=place).stdout
-    for name in ("run", "inspect", "slice", "compare", "backends", "warm", "verify", "config"):
-        assert f"  {name} " in text
-        told = ebamcheck(name, "-h" if name in ("run", "report", "conform") else "--help", cwd=place)
-        assert told.returncode == 0
-        assert "Example" in told.stdout or name == "warm"
+    text = " ".join(ebamcheck("-h", cwd=place).stdout.split())
     for code in ("0 pass", "1 out of tolerance", "5 nothing compared", "130 interrupted"):
-        assert code in " ".join(text.split())
+        assert code in text
     bare = ebamcheck(cwd=place)
     assert (bare.returncode, bare.stdout) == (2, "")
     assert bare.stderr.startswith("Usage")
@@ -99,8 +94,8 @@ def test_inspect(place, here):
     assert figures["volume_mm3"] == pytest.approx(12 * AREA_MM2)
     text = here("inspect", "frame.stl", "--units", "cm").stdout
     assert re.search(r"^size mm +400 x 400 x 120$", text, re.MULTILINE)
-    data = (place / "box.stl").read_bytes()
-    (place / "open.stl").write_bytes(data[:80] + np.uint32(11).tobytes() + data[84:-50])
+    part = box((0, 0, 0), (30, 30, 12))
+    write_stl(from_arrays(part.vertices, part.faces[:-1], "open"), place / "open.stl")
     told = here("inspect", "open.stl")
     assert told.returncode == 1
     assert re.search(r"^verdict +open: 3 open edges", told.stdout, re.MULTILINE)
@@ -110,14 +105,9 @@ def test_inspect(place, here):
     ("change", "said"), [("open", "has open paths"), ("turned", "has no contour on any layer")]
 )
 def test_slice_warns_of_a_part_without_an_inside(place, here, change, said):
-    data = (place / "frame.stl").read_bytes()
-    count = int(np.frombuffer(data, np.uint32, 1, 80)[0])
-    facets = np.frombuffer(data, np.uint8, 50 * count, 84).reshape(count, 50).copy()
-    if change == "open":
-        facets = facets[:-1]
-    else:
-        facets[:, 24:48] = np.concatenate([facets[:, 36:48], facets[:, 24:36]], axis=1)
-    (place / "bad.stl").write_bytes(data[:80] + np.uint32(len(facets)).tobytes() + facets.tobytes())
+    part = frame()
+    faces = part.faces[:-1] if change == "open" else part.faces[:, ::-1]
+    write_stl(from_arrays(part.vertices, faces, "bad"), place / "bad.stl")
     told = here("slice", "bad.stl", "--backend", "planecut", "--layer-height", "12", "-o", "bad.cli")
     assert told.returncode == 0
     assert told.stdout.startswith("1 layer, ")
