@@ -17,6 +17,7 @@ settings.register_profile("repeatable", derandomize=True)
 settings.register_profile("search")
 settings.load_profile("repeatable")
 
+# Files that take longest, in quick or slow tests
 LONGEST_FIRST = (
     "test_live_server.py", "test_live_opcua.py", "test_conformance.py", "test_witnesses.py", "test_laws.py",
     "test_documentation.py", "test_interrupted_runs.py", "test_bounds.py", "test_benchmarks.py", "test_slabs.py",
@@ -28,7 +29,6 @@ LONGEST_FIRST = (
     "test_whole_part.py", "test_enemy_reports.py", "test_curve_evidence.py", "test_program_faults.py",
     "test_reference_models.py", "test_chance_curves.py", "test_text_attacks.py", "test_entry_program.py", "test_signing.py", "test_live.py",
 )  # fmt: skip
-"""Files that take longest, in quick or slow tests."""
 
 
 def pytest_configure(config: pytest.Config) -> None:

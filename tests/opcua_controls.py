@@ -25,8 +25,7 @@ from ebamcheck.testing.played_control.server import PlayedServer, faults_of, pla
 
 installed()  # and asyncua is quiet
 
-LONGEST_S = 90.0
-"""Time after which a build that does not end is taken for one that never does."""
+LONGEST_S = 90.0  # Time after which a build that does not end is taken for one that never does
 
 
 def of_its_own_loop(test):

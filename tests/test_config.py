@@ -192,12 +192,12 @@ NUMBERS = {
     for key, field in kind.model_fields.items()
     if (bounds := bounds_in(field.annotation, tuple(field.metadata)))
 }
+# Fields that hold one number, by section and key
 PLAIN = [
     (*name, bounds[0])
     for name, (kind, bounds) in NUMBERS.items()
     if name[0] in SECTIONS and len(bounds) == 1 and "tuple" not in kind and "dict" not in kind
 ]
-"""Fields that hold one number, by section and key."""
 
 
 def test_every_number_has_a_finite_range():

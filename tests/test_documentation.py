@@ -45,15 +45,14 @@ LIMITS = DOCS / "limits.md"
 PAGES = sorted(DOCS.glob("*.md"))
 DOCUMENTS = [README, ARCHITECTURE, ROOT / "CHANGELOG.md", *PAGES]
 SOURCES = ("ebamcheck", "backends", "reference_models", "reports")
+LARGEST_PICTURE_BYTES = 400_000  # Pictures live in the repository for ever
 
-LARGEST_PICTURE_BYTES = 400_000
-"""Pictures live in the repository for ever."""
-
+# Last words of the names of settings that have a unit
 UNITS = (
     "mm", "deg", "s", "h", "kg", "mm_s", "mm_min", "w", "mm_s2", "mm_s3", "kv", "ma", "mb", "mm2", "m3", "j_mm3", "px", "k", "w_mk", "j_kg", "j_kgk",
 )  # fmt: skip
-"""Last words of the names of settings that have a unit."""
 
+# Numbers that have none, or whose pairs have two
 WITHOUT_UNIT = {
     "seed", "hole", "live_r", "direction", "defocus", "conductivity_by_temperature", "heat_capacity_by_temperature", "power_schedule",
     # Counts.
@@ -64,7 +63,6 @@ WITHOUT_UNIT = {
     "least_known", "melt_mixing", "evidence_share", "travel_share", "ramp_power", "melting_efficiency", "dilution", "emissivity", "absorptivity",
     "curvature_share", "dip_share",
 }  # fmt: skip
-"""Numbers that have none, or whose pairs have two."""
 
 GROUP = typer.main.get_group(app)
 CONTEXT = GROUP.make_context("ebamcheck", [], resilient_parsing=True)
@@ -211,8 +209,7 @@ PUBLIC = {
     if callable(found := getattr(module, name))
 }
 
-PROTOCOLS = (Slicer, Model, Control, Check)
-"""What strangers write classes and values of."""
+PROTOCOLS = (Slicer, Model, Control, Check)  # What strangers write classes and values of
 
 
 @pytest.mark.parametrize("found", [*PUBLIC.values(), *PROTOCOLS], ids=lambda found: found.__name__)

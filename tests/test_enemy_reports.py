@@ -16,6 +16,7 @@ from ebamcheck.pipeline.reports import write_reports
 from ebamcheck.plugins import registry
 from ebamcheck.plugins.processes import run_limited
 
+# Bodies of report writers
 WRITERS = {
     "exits": "import sys; sys.exit(0)",
     "leaves": "import os; os._exit(0)",
@@ -26,7 +27,6 @@ WRITERS = {
     "good": "(run.path / 'mine').mkdir(); (run.path / 'mine' / 'good.txt').write_text(run.manifest()['job']); "
     "import sys; (run.path / 'mine' / 'loaded.txt').write_text(' '.join(sys.modules))",
 }
-"""Bodies of report writers."""
 
 
 @pytest.fixture(scope="module")

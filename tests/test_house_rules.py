@@ -12,21 +12,12 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 FOLDERS = ("ebamcheck", "backends", "reference_models", "reports", "benchmarks", "tests", "docs")
 FILES = sorted(path for folder in FOLDERS for path in (ROOT / folder).rglob("*.py"))
-
-LEAST_LINES, MOST_LINES = 60, 600
-"""Lines of a module: as long as its idea."""
-
+LEAST_LINES, MOST_LINES = 60, 600  # Lines of a module: as long as its idea
+# Modules of ``ebamcheck`` that have fewer. The list only gets shorter.
 SHORT_MODULES = Path(__file__).with_name("short_modules.txt")
-"""Modules of ``ebamcheck`` that have fewer. The list only gets shorter."""
-
-MOST_BODY = 80
-"""Lines of a function, without its head and docstring."""
-
-MOST_PARAMETERS = 9
-"""Parameters of a kernel, unless the comment above it says why there are more."""
-
-REASON = re.compile(r"# \w+ parameters: \S")
-"""How such a comment begins."""
+MOST_BODY = 80  # Lines of a function, without its head and docstring
+MOST_PARAMETERS = 9  # Parameters of a kernel, unless the comment above it says why there are more
+REASON = re.compile(r"# \w+ parameters: \S")  # How such a comment begins
 
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 

@@ -36,9 +36,7 @@ from ebamcheck.slicers.isolation import slice_all
 from ebamcheck.slicers.slicing import slice_part
 
 OF_BLOCKS = f"slicing.backends = {FAST.split(',')}\nslicing.block_points = 1000\n"
-
-DATED = ("finished", "seal")
-"""Fields of a certificate that tell when the run was made, or hold what does."""
+DATED = ("finished", "seal")  # Fields of a certificate that tell when the run was made, or hold what does
 
 
 def whole(folder):

@@ -20,9 +20,8 @@ from ebamcheck.testing.played_control.program import Panel
 from ebamcheck.testing.played_control.server import PlayedServer
 
 SIZE = (30, 24, 5.2)
-
+# Turns of the event loop over which a cancellation is tried against an end that comes in the middle of them
 STEPS = 8
-"""Turns of the event loop over which a cancellation is tried against an end that comes in the middle of them."""
 
 
 async def turns(count):

@@ -18,11 +18,11 @@ import ebamcheck
 
 ROOT = Path(__file__).parents[1]
 
+# Names that an installation puts into site-packages, and where they come from
 PACKAGES = {
     "ebamcheck": ROOT / "ebamcheck",
     **{path.name: path for room in ("backends", "reference_models", "reports") for path in (ROOT / room).glob("ebamcheck_*")},
 }  # fmt: skip
-"""Names that an installation puts into site-packages, and where they come from."""
 
 LOAD_ALL = """
 import sys

@@ -29,21 +29,18 @@ from ebamcheck_reports.report_command import report
 from ebamcheck_reports.sections.summary import EVENTS, beam_energy_j
 
 SLICERS = 8
-PAGES = 7
-"""Of the print of a whole run, at most."""
-
+PAGES = 7  # Of the print of a whole run, at most
 PHONE_PX = 375
-
+# CIE 1976 distance of any two colours of slicers; from about 2.3 on a trained eye sees one at all
 LEAST_COLOUR_DIFFERENCE = 12.0
-"""CIE 1976 distance of any two colours of slicers; from about 2.3 on a trained eye sees one at all."""
 
+# Linear RGB as it is seen (Machado, Oliveira and Fernandes 2009, full severity)
 COLOUR_VISION = {
     "all three cones": np.eye(3),
     "no long ones": [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]],
     "no middle ones": [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.011820, 0.042940, 0.968881]],
     "no short ones": [[1.255528, -0.076749, -0.178779], [-0.078411, 0.930809, 0.147602], [0.004733, 0.691367, 0.303900]],
 }  # fmt: skip
-"""Linear RGB as it is seen (Machado, Oliveira and Fernandes 2009, full severity)."""
 
 
 @pytest.fixture(scope="module")

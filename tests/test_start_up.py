@@ -125,7 +125,6 @@ def test_plugins_that_are_installed_meanwhile_are_found(tmp_path, monkeypatch):
 # -- help and completion -----------------------------------------------------------------------------
 
 EXAMPLE = re.compile(r"Examples?: ((?:.|\n)*?)(?:\n\n|\Z)")
-
 GROUP = typer.main.get_command(app)
 
 
