@@ -16,8 +16,9 @@ from finished_runs import made_once
 from parts import box
 from slicers_here import slicers_here
 
+from ebamcheck.live.before import Before
 from ebamcheck.live.building import Building
-from ebamcheck.live.making import LayerMaker
+from ebamcheck.live.making import LayerMaker, MadeLayer, Wanted
 from ebamcheck.live.publishing import JOURNAL, LAYERS
 from ebamcheck.live.relaying import finished_run
 from ebamcheck.program import Check
@@ -46,6 +47,12 @@ def maker_of(place: Path) -> Iterator[LayerMaker]:
     found = finished_run(place / "box.run")
     with LayerMaker(found.part, found.config, found.primary) as made:
         yield made
+
+
+def third_layer(maker: LayerMaker, folder: Path, thickness_mm: float = 1.6) -> MadeLayer:
+    """A layer on 3.4 mm of cold metal, as it is made and before it is published."""
+    wanted = Wanted(2, 3.4, thickness_mm, "MAIN_K0003R1")
+    return maker.make(wanted, Before.cold(maker.config), folder / "program")
 
 
 def failed_checks(folder: Path, part: Path) -> list[Check]:

@@ -11,13 +11,12 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 from command_line import command, ebamcheck
-from live_boxes import Server, failed_checks, play
+from live_boxes import Server, failed_checks, play, third_layer
 
 from ebamcheck.errors import InputError, SettingsError
-from ebamcheck.live.before import Before
 from ebamcheck.live.building import Building, answer_to
 from ebamcheck.live.heights_table import PLOT, TABLE, HeightsTable, read_heights
-from ebamcheck.live.making import LayerMaker, Wanted
+from ebamcheck.live.making import LayerMaker
 from ebamcheck.live.publishing import (
     JOURNAL,
     LAYERS,
@@ -167,9 +166,7 @@ def test_a_kill_at_any_moment_leaves_the_last_validated_layer(maker, tmp_path, m
 
 
 def test_a_file_that_was_exchanged_before_publishing_is_not_published(maker, tmp_path):
-    made = maker.make(
-        Wanted(2, 3.4, 1.6, "MAIN_K0003R1"), Before.cold(maker.config), tmp_path / "s" / "program"
-    )
+    made = third_layer(maker, tmp_path / "s")
     certificate = certificate_of(made, maker)
     path = made.files.folder / made.files.names[1]
     path.write_text(path.read_text() + "\n")
@@ -179,9 +176,7 @@ def test_a_file_that_was_exchanged_before_publishing_is_not_published(maker, tmp
 
 
 def test_what_is_not_validated_is_never_published(maker, tmp_path):
-    made = maker.make(
-        Wanted(2, 3.4, 0.5, "MAIN_K0003R1"), Before.cold(maker.config), tmp_path / "s" / "program"
-    )
+    made = third_layer(maker, tmp_path / "s", 0.5)
     assert not made.passed
     assert "process window" in made.why
     with pytest.raises(InputError, match="not validated"):
