@@ -241,6 +241,7 @@ def test_the_tables_name_settings_that_there_are():
     assert {*CHANGED, *GIVEN, *ELSEWHERE} <= set(fields())
 
 
+@pytest.mark.slow
 def test_without_a_change_a_run_comes_to_the_same(tmp_path):
     """So that a setting which nothing reads is seen."""
     config = Config().changed(**QUICK)

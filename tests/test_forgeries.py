@@ -161,6 +161,7 @@ def test_a_run_relabelled_as_another_part_is_found(run, tmp_path):
     assert "compare the same part" in found["worked out again"].text
 
 
+@pytest.mark.slow
 def test_layers_swapped_for_those_of_another_height_are_found(run, made, tmp_path):
     """The program, its plan and its layers all come from a part of another size; hashes are made anew."""
     bigger = write_stl(box((0, 0, 0), (40, 40, 12)), tmp_path / "bigger.stl")

@@ -281,15 +281,6 @@ def test_inside_out_part_without_contours(tmp_path: Path) -> None:
     assert "✔" not in words(section(page, "agreement"))
 
 
-def test_one_backend_alone(tmp_path: Path) -> None:
-    folder = run(box((0, 0, 0), (30, 20, 9)), tmp_path, 3.0, slicing={"backends": ("planecut",)})
-    _, page, root = render(folder)
-    assert "two are needed" in words(section(page, "agreement"))
-    assert "No reference was given" in words(section(page, "fit"))
-    assert words(section(page, "verdict")).startswith("✘ NOT VALIDATED")
-    assert not [s for s in root.iter("testsuite") if s.get("name") == "ebamcheck.agreement"]
-
-
 @pytest.mark.parametrize(
     "name", ["scan.parquet", "curves.parquet", "compare.parquet", "fit.csv", "layers/planecut.parquet"]
 )

@@ -110,6 +110,7 @@ def put(path, old, new):
     path.write_text(text.replace(old, new, 1), encoding="utf-8")
 
 
+@pytest.mark.in_turn(2)
 @pytest.mark.parametrize(
     ("name", "old", "new", "told"),
     [
