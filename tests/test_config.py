@@ -94,6 +94,8 @@ def test_the_schema_describes_the_defaults():
         assert key in described["properties"]
         assert described["additionalProperties"] is False
     assert Config.model_validate(defaults) == Config()
+    height = schema["$defs"]["LayerSettings"]["properties"]["layer_height_mm"]
+    assert {"minimum": 0.005, "maximum": 100.0}.items() <= height["anyOf"][0].items()
 
 
 def test_settings_stand_in_pyproject_too(tmp_path):
@@ -218,6 +220,11 @@ def test_what_is_outside_is_refused_with_the_range(section, key, bounds):
         assert f"here: {section}.{key}: " in message
         assert f"from {bounds.least:.10g} to {bounds.greatest:.10g}" in message, (value, message)
         assert "\n" not in message
+
+
+def test_units_by_their_usual_names():
+    for name in ("in", "inch", "inches", "Inch", "mm", "cm", "m", "um", "feet", "ft", "µm"):
+        assert Config().changed(part={"units": name}).part.units in ("in", "mm", "cm", "m", "um", "ft")
 
 
 # -- Settings files keep what was set in them, whatever is added -----------------------------------
