@@ -191,11 +191,11 @@ def test_an_approver_who_did_not_sign_is_found_by_the_signature(run, keys):
     found = read_certificate(run / CERTIFICATE)
     found["release"]["approver"] = "Somebody Else"
     write_sealed(run / CERTIFICATE, found)
-    assert set(failed(run)) == {"signature"}
+    assert set(failed(run, quick=True)) == {"signature"}
     shutil.rmtree(run / SIGNATURES)
     sign(run / CERTIFICATE, stranger, "Jane Doe")
-    assert failed(run) == {}, "a stranger's signature is valid, and told as such"
-    assert set(failed(run, trusted=trusted)) == {"signature"}
+    assert failed(run, quick=True) == {}, "a stranger's signature is valid, and told as such"
+    assert set(failed(run, quick=True, trusted=trusted)) == {"signature"}
 
 
 @pytest.mark.parametrize(
