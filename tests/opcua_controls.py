@@ -136,6 +136,14 @@ async def door(maker, folder, opcua):
         assert task.done()
 
 
+@asynccontextmanager
+async def led(maker, folder, waits=True, **settings):
+    """A control that a build leads, and what the build's door tells."""
+    opcua = on_a_desk(**settings)
+    async with control(maker, opcua, waits) as at, door(maker, folder, opcua) as told:
+        yield at, told
+
+
 async def until(condition, limit_s=20.0):
     for _ in range(int(limit_s / 0.05)):
         if condition():

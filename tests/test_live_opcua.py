@@ -11,7 +11,7 @@ import stat
 import numpy as np
 import pytest
 from live_boxes import made_again
-from opcua_controls import built, codes, control, door, of_its_own_loop, on_a_desk, sound, until
+from opcua_controls import built, codes, control, door, led, of_its_own_loop, on_a_desk, sound, until
 
 from ebamcheck.controls.sinumerik.release_keys import key_below
 from ebamcheck.errors import SettingsError
@@ -57,8 +57,7 @@ def test_every_fault_is_in_a_build():
 
 @of_its_own_loop
 async def test_nothing_is_released_before_a_program_waits(maker, tmp_path):
-    opcua = on_a_desk()
-    async with control(maker, opcua, waits=False) as at, door(maker, tmp_path / "b", opcua) as told:
+    async with led(maker, tmp_path / "b", waits=False) as (at, told):
         await until(lambda: "waiting" in codes(told))
         await asyncio.sleep(0.6)
         assert at["released"] == 0.0
@@ -105,8 +104,7 @@ async def write_from_outside(maker, opcua, role, text):
 
 @of_its_own_loop
 async def test_a_release_that_is_gone_waits_for_the_operator(maker, tmp_path):
-    opcua = on_a_desk()
-    async with control(maker, opcua) as at, door(maker, tmp_path / "b", opcua) as told:
+    async with led(maker, tmp_path / "b") as (at, told):
         await until(lambda: at["released"] == 1.0)
         at["released"] = 0.0  # RESET in the first layer
         await until(lambda: "withdrawn" in codes(told))
@@ -134,8 +132,7 @@ async def test_a_door_that_comes_again_does_not_release_twice(maker, tmp_path):
 
 @of_its_own_loop
 async def test_a_count_of_the_height_that_is_one_behind_is_told_at_once(maker, tmp_path):
-    opcua = on_a_desk(late_s=1e5)
-    async with control(maker, opcua) as at, door(maker, tmp_path / "b", opcua) as told:
+    async with led(maker, tmp_path / "b", late_s=1e5) as (at, told):
         await until(lambda: at["released"] == 1.0)
         at["done"], at["height"], at["measured"] = 1.0, 1.7, 1.0
         await until(lambda: at["released"] == 2.0)
@@ -232,8 +229,7 @@ async def test_counts_that_are_none_release_nothing(maker, tmp_path):
 @pytest.mark.slow
 @of_its_own_loop
 async def test_no_exception_ends_the_server(maker, tmp_path, monkeypatch):
-    opcua = on_a_desk()
-    async with control(maker, opcua) as at, door(maker, tmp_path / "b", opcua) as told:
+    async with led(maker, tmp_path / "b") as (at, told):
         await until(lambda: at["released"] == 1.0)
         with monkeypatch.context() as patch:
             patch.setattr(Building, "height", lambda self, message: 1 // 0)
@@ -247,8 +243,7 @@ async def test_no_exception_ends_the_server(maker, tmp_path, monkeypatch):
 
 @of_its_own_loop
 async def test_a_text_that_was_changed_on_disk_is_not_sent(maker, tmp_path):
-    opcua = on_a_desk()
-    async with control(maker, opcua, waits=False) as at, door(maker, tmp_path / "b", opcua) as told:
+    async with led(maker, tmp_path / "b", waits=False) as (at, told):
         await until(lambda: "waiting" in codes(told))
         current = json.loads((tmp_path / "b" / "current.json").read_text())
         path = tmp_path / "b" / current["program"]
@@ -308,8 +303,7 @@ async def test_of_two_builds_that_could_go_on_the_last_one_writes_and_the_other_
 @pytest.mark.parametrize("when", ["while the layer is laid", "before its height has come"])
 @of_its_own_loop
 async def test_a_release_by_another_client_is_set_to_0_and_the_build_goes_on(when, maker, tmp_path):
-    opcua = on_a_desk()
-    async with control(maker, opcua, waits=False) as at, door(maker, tmp_path / "b", opcua) as told:
+    async with led(maker, tmp_path / "b", waits=False) as (at, told):
         task = asyncio.create_task(at.wait())
         await until(lambda: at["released"] == 1.0)
         task.cancel()

@@ -15,7 +15,7 @@ from opcua_controls import control, free_url, of_its_own_loop, on_a_desk, until
 
 from ebamcheck.live.building import Building
 from ebamcheck.live.opcua.door import Door
-from ebamcheck.live.opcua.link import BrokenOff, Link, within
+from ebamcheck.live.opcua.link import BrokenOff, within
 from ebamcheck.testing.played_control.program import Panel
 from ebamcheck.testing.played_control.server import PlayedServer
 
@@ -104,37 +104,6 @@ class Line:
             while data := await reader.read(65536):
                 if not self.mute:
                     writer.write(data)
-
-
-@of_its_own_loop
-async def test_a_link_that_is_cancelled_while_it_logs_out_does_not_go_on(maker):
-    """The control is mute: logging out takes until its limit, and is cancelled meanwhile."""
-
-    opcua = on_a_desk()
-    line_url = free_url()
-    leave, went_on = asyncio.Event(), []
-
-    async def holds():
-        async with Link(maker.config.machine, opcua.model_copy(update={"url": line_url})):
-            await leave.wait()
-        went_on.append(True)
-        await asyncio.sleep(30.0)
-
-    async with control(maker, opcua, waits=False), Line(opcua.url).at(line_url) as line:
-        task = asyncio.create_task(holds())
-        await asyncio.sleep(1.0)
-        line.mute = True
-        leave.set()
-        await asyncio.sleep(0.5)
-        assert not task.done()
-        task.cancel()
-        await asyncio.wait([task], timeout=8.0)
-        ended, on = task.done(), list(went_on)
-        task.cancel()
-        await asyncio.wait([task], timeout=4.0)
-        assert ended
-        assert task.cancelled()
-        assert on == []
 
 
 @pytest.mark.parametrize("after_s", [0.3, *(pytest.param(s, marks=pytest.mark.slow) for s in (1.9, 2.4))])
