@@ -305,7 +305,10 @@ def test_new_keys_bring_their_explanations_comments_stay_and_unknown_keys_are_to
         ("[process]\nbead_width_mm = -1\n", "bead_width_mm"),
         ("a = [\n", "is not TOML"),
         ("process = { bead_width_mm = 5.0 }\n", r"write its sections as \[NAME\]"),
-        ('[slicing.settings.planecut]\noverlaps = "keep"\n[slicing]\nprimary = ""\n', "write its sections as"),
+        (
+            '[slicing.settings.planecut]\noverlaps = "keep"\n[slicing]\nprimary = ""\n',
+            "write its sections as",
+        ),
         (b"\xff", "UTF-8"),
         (None, "-o"),
     ],
