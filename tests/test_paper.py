@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import base64
-import io
 import json
 import math
 import re
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -21,18 +17,15 @@ from command_line import frame, write_stl
 from parts import sphere
 from typer.testing import CliRunner
 
-from ebamcheck.backend import Probe
-from ebamcheck.errors import BackendFailed, ExitCode, InputError, SettingsError
+from ebamcheck.errors import BackendFailed, ExitCode, SettingsError
 from ebamcheck.layers.stack import from_rings
 from ebamcheck.mesh.part import from_arrays
 from ebamcheck.plugins import registry
-from ebamcheck.showing.colours import binary_image, png
-from ebamcheck_reports.charts import Series, log_chart
 from ebamcheck_reports.paper import layer_figures, paper, published, timing
 from ebamcheck_reports.paper.layer_figures import find_subject
-from ebamcheck_reports.paper.page import Reproduction, as_text, document, reproduce, write
+from ebamcheck_reports.paper.page import Reproduction, as_text, document, reproduce
 from ebamcheck_reports.paper.polar import published_record
-from ebamcheck_reports.paper.published import FULL, QUICK, Effort
+from ebamcheck_reports.paper.published import Effort
 
 TINY = Effort("tiny", finest_mm=0.8, layer_step=1500, literal_layers=2, polar_layers=4)
 
@@ -74,18 +67,6 @@ def test_ranges_of_the_paper_give_45_9_and_55_1_per_cent_but_not_34_2() -> None:
     assert round(100 * found["max"], 1) == 55.1
     assert all(abs(value - published.CLAIMED_REDUCTION) > 0.1 for value in found.values())
     assert published_record()["claimed_reduction"] == 0.342
-
-
-def test_swapping_0_4_and_0_8_is_all_that_the_papers_list_needs() -> None:
-    printed = list(published.TOLERANCES_MM)
-    assert list(published.SIZES_MB) == sorted(published.SIZES_MB)
-    assert printed != sorted(printed, reverse=True)
-    printed[1], printed[2] = printed[2], printed[1]
-    assert tuple(printed) == published.tolerances_by_size() == FULL.tolerances_mm
-    assert QUICK.tolerances_mm == published.tolerances_by_size()[:6]
-
-
-def test_the_largest_file_has_the_papers_facets() -> None:
     size_mb = (timing.STL_HEADER_BYTES + timing.STL_FACET_BYTES * published.FACETS) / 2**20
     assert size_mb == pytest.approx(published.SIZES_MB[-1], abs=0.01)
 
@@ -119,27 +100,11 @@ def test_the_table_at_the_top_says_what_the_record_says(made: Reproduction) -> N
     assert list(rows) == [
         "Figures 3 to 5", "Figure 7", "Figure 8", "Figure 9", "Section 5.2", "Figures 10 and 11", "Section 5.1",
     ]  # fmt: skip
-    assert {row["comparable"] for row in rows.values()} == {"yes", "partly", "no"}
-    assert all(row["why"] for row in rows.values())
-    assert "45.89 %" in rows["Section 5.2"]["ours"]
-    assert "55.06 %" in rows["Section 5.2"]["ours"]
-    assert rows["Figure 9"]["comparable"] == "no"
-    assert "89 s" in rows["Figure 9"]["paper"]
-    assert "89.99 s" in rows["Figure 9"]["paper"]
+    assert all(row["why"] and row["comparable"] in ("yes", "partly", "no") for row in rows.values())
+    assert {"45.89 %", "55.06 %"} <= set(re.findall(r"[\d.]+ %", rows["Section 5.2"]["ours"]))
     for found in made.record["corners"]["layers"]:
         assert f"layer {found['layer']}: {found['curve_parts']} curve parts" in rows["Figure 7"]["ours"]
     assert f"n = {made.record['partition']['n']}" in rows["Figure 8"]["ours"]
-    assert "swapped" in rows["Section 5.1"]["why"]
-
-
-def test_the_swap_the_renderer_and_the_missing_34_2_are_told(made: Reproduction, page: str) -> None:
-    assert "0.4 and 0.8 stand in swapped places" in page
-    assert published.DEVICE in page
-    assert "none of these four does" in page
-    assert "45.89 %" in page
-    assert "55.06 %" in page
-    for device in made.record["timing"]["devices"].values():
-        assert device.split("\n")[0][:10] in page
 
 
 # -- what was measured ---------------------------------------------------------------------------------
@@ -166,15 +131,6 @@ def test_a_slicer_that_refuses_the_part_is_told_with_its_reason() -> None:
     found = timing.timed(opened, np.array([1.0, 2.0, 3.0]), method, TINY)
     assert (found["status"], found["total_s"]) == ("failed", None)
     assert "opened" in found["why"]
-
-
-def test_a_slicer_that_this_machine_cannot_run_is_told_with_its_reason(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(registry, "probe", lambda _: Probe(False, why="no driver"))
-    method = timing.Method("planecut", "planecut", {})
-    found = timing.timed(frame(), np.array([1.0]), method, TINY)
-    assert (found["status"], found["why"], found["total_s"]) == ("unavailable", "no driver", None)
 
 
 @pytest.mark.gl
@@ -258,11 +214,6 @@ def test_a_mesh_of_the_users_takes_the_bunnys_place(tmp_path: Path, made: Reprod
     assert len(pictures) == 2
 
 
-def test_a_mesh_without_a_layer_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="no such file"):
-        find_subject(tmp_path / "none.stl", "mm")
-
-
 def test_command_writes_both_files_or_none(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, made: Reproduction
 ) -> None:
@@ -292,60 +243,4 @@ def test_command_writes_both_files_or_none(
         paper(tmp_path / "file" / "x", None, "mm", False, False)
 
 
-def test_nothing_is_left_where_the_page_cannot_be_made(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, made: Reproduction
-) -> None:
-    (tmp_path / "paper.html").write_text("before")
-    broken = Reproduction({**made.record, "bad": object()}, made.pictures)
-    with pytest.raises(TypeError):
-        write(broken, tmp_path)
-    assert [p.name for p in tmp_path.iterdir()] == ["paper.html"]
-    assert (tmp_path / "paper.html").read_text() == "before"
-
-
 # -- pieces --------------------------------------------------------------------------------------------
-
-
-def test_png_is_read_back_as_the_same_image() -> None:
-    from PIL import Image
-
-    image = np.random.default_rng(4).random((13, 21)) < 0.4
-    with Image.open(io.BytesIO(png(binary_image(image)))) as read:
-        assert read.mode == "1"
-        assert np.array_equal(~np.asarray(read), image)
-
-
-@pytest.mark.gl
-def test_the_picture_holds_the_image(made: Reproduction, page: str) -> None:
-    from PIL import Image
-
-    found = made.record["bitmap"]
-    if found["status"] != "done":
-        pytest.skip(found["why"])
-    data = re.search(r'href="data:image/png;base64,([^"]+)"', page)
-    assert data is not None
-    with Image.open(io.BytesIO(base64.b64decode(data.group(1)))) as read:
-        assert read.size == (found["width_px"], found["height_px"])
-        assert int((~np.asarray(read)).sum()) == found["black_px"]
-
-
-def test_decades_are_equally_wide_on_logarithmic_axes() -> None:
-    chart = log_chart(
-        [Series("a", [10.0, 100.0, 1000.0], [1.0, 0.1, math.nan])],
-        Series("b", [100.0], [10.0]),
-        "x <mm>",
-        "y",
-    )
-    tree = ElementTree.fromstring(f"<div>{chart}</div>")
-    line = next(p for p in tree.iter("path") if p.get("stroke-width") == "7")
-    places = [tuple(map(float, p.split(","))) for p in re.findall(r"M([-\d.]+,[-\d.]+)h0", line.get("d", ""))]
-    assert len(places) == 2
-    ticks = {t.text: t for t in tree.iter("text")}
-    assert float(ticks["100"].get("x", "")) == pytest.approx(places[1][0], abs=0.1)
-    assert places[1][1] > places[0][1]
-    assert "There is nothing to draw" in log_chart([], Series("b", [0.0], [1.0]), "x", "y")
-
-
-def test_the_command_line_does_not_pay_for_this_command_until_it_runs() -> None:
-    code = "import sys, ebamcheck_reports.paper; sys.exit('numpy' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
