@@ -31,9 +31,9 @@ FEW_KERNELS = ["slice_command", "inspect", "compare", "polar", "preflight_comman
 
 # Commands in the order of the help; the first five, in this order, are the way from a part to a proven program.
 GROUPS = {
-    "Start here": ("config", "preflight", "run", "report", "verify"),
+    "Start here": ("config", "preflight", "run", "view", "verify"),
     "Make": ("slice", "fit", "scan", "post", "warm"),
-    "Look": ("inspect", "compare", "polar", "backends"),
+    "Look": ("inspect", "compare", "polar", "report", "backends"),
     "Prove": ("check", "judge", "key", "sign"),
     "Test slicers": ("conform", "regress", "select", "paper"),
     "Machines": ("machine", "live", "relayer"),

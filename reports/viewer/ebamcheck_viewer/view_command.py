@@ -36,7 +36,7 @@ def view(
         ),
     ] = None,
 ) -> ExitCode:
-    """Write one page that scrubs through every layer, slicer, bead and NC block; it opens from disk, without a network.
+    """Write a page that scrubs through layers, slicers, beads and NC blocks; it opens from disk, without a network.
 
     Example: ebamcheck view blade.run -o blade-viewer.html
     """
