@@ -11,6 +11,7 @@ from benchmarks.curve_parts import CAD, CAD_MM, FLAT, TRUTH_MM, heights_of, part
 from benchmarks.curve_parts_meshes import as_file, split_edges, turned
 from benchmarks.curve_parts_solids import Solid, frustum, lathe, regular_prism
 from ebamcheck.curves import contour_error, fit, fit_deviation, fit_for_program
+from ebamcheck.curves.columns import with_rings
 from ebamcheck.curves.crossings import crossings
 from ebamcheck.curves.edges import with_edges
 from ebamcheck.curves.gate import (
@@ -24,7 +25,6 @@ from ebamcheck.curves.gate import (
     evidence,
     polylines,
     stack_evidence,
-    with_rings,
 )
 from ebamcheck.curves.lifting import OF_SAGITTAS, Lifting, Limits
 from ebamcheck.errors import SettingsError

@@ -18,7 +18,8 @@ from curve_parts import (
 
 from benchmarks.curve_parts_meshes import bored, irregular_convex
 from benchmarks.curve_parts_solids import Bow, lathe
-from ebamcheck.curves import METHODS, fit
+from ebamcheck.curves import fit
+from ebamcheck.curves.fitting import ungated
 from ebamcheck.curves.gate import Slack, gated
 from ebamcheck.curves.lifting import Lifting
 from ebamcheck.curves.sections import on_both, on_one
@@ -315,7 +316,7 @@ def test_a_surface_that_the_turns_of_the_mesh_do_not_bear_out_is_refused() -> No
     fallen = []
     for rows in (surface.exact.rows, wrong):
         lifting = Lifting(surface._replace(exact=surface.exact._replace(rows=rows)))
-        curves = gated(METHODS["bounded"](cut, SETTINGS, lifting), cut, lifting.allowed(cut), slack)
+        curves = gated(ungated("bounded", cut, SETTINGS, lifting), cut, lifting.allowed(cut), slack)
         assert curves.evidence is not None
         fallen.append((curves.evidence.method > 0).mean())
     assert fallen[0] < 0.5

@@ -8,20 +8,21 @@ that, and leaves it by no more than a surface plausibly stands over the facets t
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from ebamcheck.columns_file import starts_of
 from ebamcheck.curves.bezier import BezierSpans
 from ebamcheck.curves.cleaning import clean
-from ebamcheck.curves.columns import EVIDENCE_COLUMNS, Curves, Evidence, sampled_along
+from ebamcheck.curves.columns import Curves, Evidence, sampled_along, with_rings
 from ebamcheck.curves.crossings import crossings
 from ebamcheck.curves.deviation import deviation_of
 from ebamcheck.curves.lifting import Limits
 from ebamcheck.curves.splitting import LINE, around
 from ebamcheck.geometry import rings
+from ebamcheck.geometry.raster import each_of
 from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.bodies import volumes_between
@@ -60,7 +61,7 @@ def gated(curves: Curves, layers: Layers, limits: Limits, slack: Slack) -> Curve
             break
         for name in ("cause", "value_mm", "limit_mm", "at"):  # of what was asked for, or of what followed it
             getattr(asked, name)[falling] = getattr(found, name)[falling]
-        curves = with_rings(curves, polylines(rings_of(layers, falling)), falling)
+        curves = with_rings(curves, polylines(_rings_of(layers, falling)), falling)
         fallen[falling] = POLYLINE
         found = evidence(curves, layers, limits, slack)
     # A polyline is the contour itself: what is still wrong with it was wrong with the contour, not with the fit.
@@ -69,12 +70,6 @@ def gated(curves: Curves, layers: Layers, limits: Limits, slack: Slack) -> Curve
     if not accepted.all():
         accepted |= ~evidence(polylines(layers), layers, limits, slack).accepted
     return replace(curves, evidence=replace(asked, method=fallen, accepted=accepted))
-
-
-def joined(blocks: Sequence[Evidence]) -> Evidence:
-    """Evidence of consecutive blocks of one stack."""
-    columns: dict[str, Any] = {n: np.concatenate([getattr(b, n) for b in blocks]) for n in EVIDENCE_COLUMNS}
-    return replace(blocks[0], **columns)
 
 
 def evidence(curves: Curves, layers: Layers, limits: Limits, slack: Slack) -> Evidence:
@@ -86,7 +81,7 @@ def evidence(curves: Curves, layers: Layers, limits: Limits, slack: Slack) -> Ev
     fresh = crossed.crossed & (cause == ACCEPTED)
     cause[fresh] = CROSSING
     found.at[fresh] = crossed.at[fresh]
-    cause[(np.sign(ring_areas(curves, spans)) != np.sign(layers.ring_areas)) & (cause == ACCEPTED)] = TURNED
+    cause[(np.sign(_ring_areas(curves, spans)) != np.sign(layers.ring_areas)) & (cause == ACCEPTED)] = TURNED
     cause[_moved_out(curves, layers, spans) & (cause == ACCEPTED)] = NESTING
     return replace(found, accepted=cause == ACCEPTED)
 
@@ -147,21 +142,12 @@ def _mean_along(layers: Layers, limits: Limits, following: Ints) -> Floats:
     return np.asarray(weighed / np.where(total > 0.0, total, 1.0))
 
 
-def ring_areas(curves: Curves, spans: BezierSpans) -> Floats:
+def _ring_areas(curves: Curves, spans: BezierSpans) -> Floats:
     """Exact signed area of each closed ring, (R,) mm2; 0 for open paths. Arcs are cubics within 1e-9 of them."""
-    P = spans.points
-
-    def cross(i: int, j: int) -> Floats:
-        return np.asarray(P[:, i, 0] * P[:, j, 1] - P[:, i, 1] * P[:, j, 0])
-
-    area = (
-        6.0 * cross(0, 1)
-        + 3.0 * cross(0, 2)
-        + cross(0, 3)
-        + 3.0 * cross(1, 2)
-        + 3.0 * cross(1, 3)
-        + 6.0 * cross(2, 3)
-    )
+    area = np.zeros(len(spans))
+    for i, j, share in ((0, 1, 6.0), (0, 2, 3.0), (0, 3, 1.0), (1, 2, 3.0), (1, 3, 3.0), (2, 3, 6.0)):
+        p, q = spans.points[:, i], spans.points[:, j]
+        area += share * (p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0])
     total = np.bincount(spans.ring, area / 20.0, minlength=curves.closed.size)
     return np.where(curves.closed, total, 0.0)
 
@@ -178,80 +164,39 @@ def _moved_out(curves: Curves, layers: Layers, spans: BezierSpans) -> Bools:
     return np.asarray(several & (parents != layers.parents))
 
 
-# -- polylines, and curves of which some rings are replaced -----------------------------------------------------
-
-
 def polylines(layers: Layers) -> Curves:
     """Contours as curves, without points that repeat or lie on the line between their neighbours."""
-    cleaned = clean(np.ascontiguousarray(layers.points), layers.ring_starts, layers.closed, 0.0, 0.0)
+    points = np.ascontiguousarray(layers.points)
+    cleaned = clean(points, layers.ring_starts, layers.closed, 0.0, 0.0)
     sizes = np.diff(cleaned.starts)
-    more = sizes + (layers.closed & (sizes > 0))
-    control_starts = _starts(more)
-    ring = np.repeat(np.arange(sizes.size), more)
-    place = np.arange(control_starts[-1]) - control_starts[ring]
-    rows = cleaned.rows[cleaned.starts[ring] + place % sizes[ring]]
     filled = sizes > 0
-    count = int(np.count_nonzero(filled))
+    more = sizes + (layers.closed & filled)
+    ring, place = each_of(more)
     return Curves(
         heights=layers.heights,
         layer_starts=layers.layer_starts,
-        ring_starts=_starts(filled),
+        ring_starts=starts_of(filled),
         closed=layers.closed,
-        kind=np.full(count, LINE, np.uint8),
-        control_starts=_starts(more[filled]),
-        control=np.ascontiguousarray(layers.points)[rows],
-        knot_starts=np.zeros(count + 1, np.int64),
+        kind=np.full(np.count_nonzero(filled), LINE, np.uint8),
+        control_starts=starts_of(more[filled]),
+        control=points[cleaned.rows[cleaned.starts[ring] + place % sizes[ring]]],
+        knot_starts=np.zeros(np.count_nonzero(filled) + 1, np.int64),
         knots=np.zeros(0),
     )
 
 
-def rings_of(layers: Layers, which: Bools) -> Layers:
-    """The layers with only some of their rings."""
+def _rings_of(layers: Layers, which: Bools) -> Layers:
+    """The layers with only some of their rings, without edges."""
     sizes = np.diff(layers.ring_starts)
-    rows = np.repeat(which, sizes)
-    counts = np.bincount(layers.ring_layer[which], minlength=len(layers))
     return replace(
         layers,
-        points=layers.points[rows],
-        ring_starts=_starts(sizes[which]),
-        layer_starts=_starts(counts),
+        points=layers.points[np.repeat(which, sizes)],
+        ring_starts=starts_of(sizes[which]),
+        layer_starts=starts_of(np.bincount(layers.ring_layer[which], minlength=len(layers))),
         closed=layers.closed[which],
-        edge=None if layers.edge is None else layers.edge[rows],
-        edge_t=None if layers.edge_t is None else layers.edge_t[rows],
+        edge=None,
+        edge_t=None,
     )
-
-
-def with_rings(curves: Curves, others: Curves, which: Bools) -> Curves:
-    """Curves in which the rings marked by `which` (R,) are replaced, in order, by those of `others`."""
-    count = curves.closed.size
-    source = np.arange(count)
-    source[which] = count + np.arange(others.closed.size)
-    both = [curves, others]
-    pieces, ring_starts = _chosen([c.ring_starts for c in both], source)
-    rows, control_starts = _chosen([c.control_starts for c in both], pieces)
-    knots, knot_starts = _chosen([c.knot_starts for c in both], pieces)
-    return replace(
-        curves,
-        ring_starts=ring_starts,
-        kind=np.concatenate([c.kind for c in both])[pieces],
-        control_starts=control_starts,
-        control=np.concatenate([c.control for c in both])[rows],
-        knot_starts=knot_starts,
-        knots=np.concatenate([c.knots for c in both])[knots],
-    )
-
-
-def _starts(sizes: Ints | Bools) -> Ints:
-    return np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
-
-
-def _chosen(columns: list[Ints], groups: Ints) -> tuple[Ints, Ints]:
-    """Members of some groups of ragged columns that follow each other, and the starts of the column that they make."""
-    starts = _starts(np.concatenate([np.diff(s) for s in columns]))
-    sizes = np.diff(starts)[groups]
-    new_starts = _starts(sizes)
-    members = np.arange(new_starts[-1]) + np.repeat(starts[:-1][groups] - new_starts[:-1], sizes)
-    return members.astype(np.int64), new_starts
 
 
 # -- a whole stack of curves: layers against their neighbours, and against the mesh between them ----------------
@@ -288,7 +233,7 @@ def stack_evidence(curves: Curves, layers: Layers, part: Part, found: Evidence) 
     length = np.bincount(of_ring, layers.ring_lengths, minlength=count)
     weight = np.where(length > 0.0, length, 1.0)
     gain = np.bincount(
-        of_ring, ring_areas(curves, curves.bezier_spans()) - layers.ring_areas, minlength=count
+        of_ring, _ring_areas(curves, curves.bezier_spans()) - layers.ring_areas, minlength=count
     )
     may = np.bincount(of_ring, found.mean_limit_mm * layers.ring_lengths, minlength=count) / weight
     lift = gain / weight

@@ -8,9 +8,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ebamcheck.columns_file import starts_of
+from ebamcheck.curves.columns import Curves
 from ebamcheck.curves.oriented_contours import OrientedContours
 from ebamcheck.curves.splitting import ARC, LINE, SPLINE, around
+from ebamcheck.geometry.raster import each_of
 from ebamcheck.kernels import Bools, Floats, Ints
+from ebamcheck.layers.stack import Layers
 
 UNEVEN = 4.0  # Largest ratio of a knot interval to the length of its span, either way; beyond it a spline ends and the next begins
 
@@ -24,17 +28,6 @@ class Segments(NamedTuple):
     kind: NDArray[np.uint8]  # (n,) LINE, SPLINE (a cubic) or ARC
     corner: Bools  # (n,) whether there is a corner before the segment
     ring_starts: Ints  # (R + 1,) first segment of each ring
-
-
-class Pieces(NamedTuple):
-    """Columns of :class:`~ebamcheck.curves.columns.Curves`."""
-
-    ring_starts: Ints
-    kind: NDArray[np.uint8]
-    control_starts: Ints
-    control: Floats
-    knot_starts: Ints
-    knots: Floats
 
 
 def smooth_segments(contours: OrientedContours, closed: Bools) -> Segments:
@@ -56,12 +49,11 @@ def smooth_segments(contours: OrientedContours, closed: Bools) -> Segments:
         c, s = np.cos(angle) * leg, side * np.sin(angle) * leg
         B[curved, k] += side * np.column_stack([c * x + s * y, c * y - s * x])[curved]
     kind = np.where(curved, np.uint8(SPLINE), np.uint8(LINE))
-    starts = np.concatenate([[0], np.cumsum(np.bincount(ring[i], minlength=closed.size))]).astype(np.int64)
-    return Segments(B, kind, contours.corner[i], starts)
+    return Segments(B, kind, contours.corner[i], starts_of(np.bincount(ring[i], minlength=closed.size)))
 
 
-def pieces_of(segments: Segments) -> Pieces:
-    """Join segments into pieces: lines into polylines, cubics without a corner into splines, arcs each its own.
+def curves_of(segments: Segments, layers: Layers) -> Curves:
+    """Join segments of layers into pieces: lines into polylines, cubics without a corner into splines, arcs each its own.
 
     A spline of cubics has double inner knots, whose intervals make it continuously differentiable.
     """
@@ -87,11 +79,10 @@ def pieces_of(segments: Segments) -> Pieces:
     first = np.flatnonzero(begins)
     sizes = np.diff(first, append=count)
     last, of_piece = first + sizes - 1, kind[first]
-    piece = np.repeat(np.arange(first.size), sizes)
-    place = np.arange(count) - first[piece]
+    piece, place = each_of(sizes)
     splines = of_piece == SPLINE
-    control_starts = _starts(np.where(splines, 2 * sizes + 2, np.where(of_piece == ARC, 3, sizes + 1)))
-    knot_starts = _starts(np.where(splines, 2 * sizes + 6, 0))
+    control_starts = starts_of(np.where(splines, 2 * sizes + 2, np.where(of_piece == ARC, 3, sizes + 1)))
+    knot_starts = starts_of(np.where(splines, 2 * sizes + 6, 0))
     control, knots = np.empty((int(control_starts[-1]), 2)), np.empty(int(knot_starts[-1]))
     control[control_starts[:-1]], control[control_starts[1:] - 1] = B[first, 0], B[last, 3]
     at = control_starts[piece]
@@ -115,15 +106,14 @@ def pieces_of(segments: Segments) -> Pieces:
         knots[head + step] = 0.0
     for step in (1, 2):
         knots[tail - step] = along[last[splines]]
-    return Pieces(
-        np.searchsorted(first, segments.ring_starts).astype(np.int64),
-        of_piece,
-        control_starts,
-        control,
-        knot_starts,
-        knots,
+    return Curves(
+        heights=layers.heights,
+        layer_starts=layers.layer_starts,
+        ring_starts=np.searchsorted(first, segments.ring_starts).astype(np.int64),
+        closed=layers.closed,
+        kind=of_piece,
+        control_starts=control_starts,
+        control=control,
+        knot_starts=knot_starts,
+        knots=knots,
     )
-
-
-def _starts(sizes: Ints) -> Ints:
-    return np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
