@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import math
-from typing import Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from ebamcheck.curves.columns import Curves, SampledRings
 from ebamcheck.errors import SettingsError
 from ebamcheck.geometry import rings
 from ebamcheck.geometry.nearest import nearest, segments_along, signed_distance, tree_over
-from ebamcheck.kernels import Bools, Floats, Ints, kernel
+from ebamcheck.kernels import Floats, Ints, kernel
 from ebamcheck.layers.stack import Layers
 from ebamcheck.threads import run_blocks
 
@@ -28,17 +28,8 @@ NO_ERROR_MM = 1e-9
 SAME_HEIGHT_MM = 1e-6  # Layers of two stacks belong together if their heights differ by no more than this
 LAYERS_A_STEP = 32  # Layers sampled at a time; bounds the working memory
 
-MEASURES = ("min", "max", "sum", "squares", "absolute")
-"""Statistics kept of the error along one ring: enough to compute every figure of a layer."""
-
-
-class RingErrors(NamedTuple):
-    """Errors of pairs of rings."""
-
-    measured: Ints  # (n,) ring of the measured stack
-    reference: Ints  # (n,) ring of the reference that it is paired with
-    polar: Floats  # (n, 5) MEASURES of the polar error; NaN where it is not defined
-    normal: Floats  # (n, 5) MEASURES of the normal distance
+MEASURES = ("min", "max", "squares", "absolute")
+"""Statistics kept of the errors along one ring: enough to compute every figure of a layer; sums but for the first two."""
 
 
 def contour_error(
@@ -57,50 +48,70 @@ def contour_error(
     distance is taken from `samples` equally spaced places of the measured ring to the nearest point of
     the reference ring, for holes and any other shape too. Both are positive where there is too much metal.
 
-    Parameters
-    ----------
-    measured
-        What is judged.
-    reference
-        A far finer tessellation of the same part, or an analytic model, cut at the same heights.
-    rays, samples
-        Directions and places per ring.
-    by
-        One row per layer, or one row per pair of rings.
-
-    Returns
-    -------
-    DataFrame with the columns ``layer, height_mm, rings`` (pairs), ``unmatched`` (closed rings of
+    The reference is a far finer tessellation of the same part, or an analytic model. There is one row a layer, or one a pair of
+    rings, with the columns ``layer, height_mm, rings`` (pairs), ``unmatched`` (closed rings of
     either side without a partner), ``outer_rings, polar_rings`` (outer pairs, and those with a polar
     error), ``polar_defined`` (all of them), ``polar_min_mm, polar_max_mm, polar_rms_mm,
     polar_mean_abs_mm, polar_max_abs_mm``, the same of ``normal_``, and ``samples``. By ring, the columns ``ring``
     and ``reference_ring`` take the place of the counts. Figures without data are NaN.
 
-    Raises
-    ------
-    SettingsError
-        If the heights differ, or a count is not positive.
+    Raises :class:`SettingsError` if the heights differ, or a count is not positive.
     """
     _check(measured, reference, rays, samples)
-    beams = (np.arange(rays, dtype=np.float64) + 0.5) * (2.0 * math.pi / rays)
+    directions = (np.arange(rays, dtype=np.float64) + 0.5) * (2.0 * math.pi / rays)
 
-    def work(start: int, stop: int) -> list[RingErrors]:
-        steps = range(start, stop, LAYERS_A_STEP)
-        return [
-            _block_errors(measured, reference, a, min(a + LAYERS_A_STEP, stop), beams, samples) for a in steps
-        ]
+    def work(start: int, stop: int) -> list[tuple[Ints, Floats]]:
+        steps = [(a, min(a + LAYERS_A_STEP, stop)) for a in range(start, stop, LAYERS_A_STEP)]
+        return [_block_errors(measured, reference, a, b, directions, samples) for a, b in steps]
 
-    blocks = [errors for block in run_blocks(work, len(measured)) for errors in block]
-    if blocks:
-        errors = RingErrors(*(np.concatenate(columns) for columns in zip(*blocks, strict=True)))
-    else:
-        none = np.zeros(0, np.int64)
-        errors = RingErrors(none, none, np.zeros((0, len(MEASURES))), np.zeros((0, len(MEASURES))))
-    layer = measured.ring_layer[errors.measured]
-    outer = _orientation(measured)[errors.measured] > 0
+    blocks = [found for block in run_blocks(work, len(measured)) for found in block]
+    ring, partner = np.concatenate([pairs for pairs, _ in blocks] or [np.zeros((0, 2), np.int64)]).T
+    polar, normal = np.concatenate([e for _, e in blocks] or [np.zeros((0, 2, len(MEASURES)))]).swapaxes(0, 1)
+    layer, outer = measured.ring_layer[ring], _orientation(measured)[ring] > 0
+    defined = ~np.isnan(polar[:, 0])
+    columns: dict[str, NDArray[Any]]
     if by == "ring":
-        return _by_ring(measured, errors, layer, outer, rays, samples)
-    return _by_layer(measured, reference, errors, layer, outer, rays, samples)
+        counts = np.full(ring.size, rays), np.full(ring.size, samples)
+        columns = {
+            "layer": layer,
+            "height_mm": measured.heights[layer],
+            "ring": ring,
+            "reference_ring": partner,
+            "outer": outer,
+            "polar_defined": defined,
+        }
+    else:
+        count = len(measured)
+        pairs, outers, polars = (np.bincount(layer[of], minlength=count) for of in (..., outer, defined))
+        closed = [np.bincount(s.ring_layer[s.closed], minlength=count) for s in (measured, reference)]
+        polar = _layer_sums(polar[defined], layer[defined], count)
+        normal = _layer_sums(normal, layer, count)
+        counts = polars * rays, pairs * samples
+        columns = {
+            "layer": np.arange(count),
+            "height_mm": measured.heights,
+            "rings": pairs,
+            "unmatched": closed[0] + closed[1] - 2 * pairs,
+            "outer_rings": outers,
+            "polar_rings": polars,
+            "polar_defined": (polars == outers) & (outers > 0),
+        }
+    for kind, sums, places in (("polar", polar, counts[0]), ("normal", normal, counts[1])):
+        low, high, squares, absolute = sums.T
+        columns[f"{kind}_min_mm"], columns[f"{kind}_max_mm"] = low, high
+        columns[f"{kind}_rms_mm"] = np.sqrt(squares / np.maximum(places, 1))
+        columns[f"{kind}_mean_abs_mm"] = absolute / np.maximum(places, 1)
+        columns[f"{kind}_max_abs_mm"] = np.maximum(np.abs(low), np.abs(high))
+    return pd.DataFrame({**columns, "samples": counts[1]})
+
+
+def _layer_sums(sums: Floats, layer: Ints, count: int) -> Floats:
+    """:data:`MEASURES` of the rings, combined by layer; NaN for a layer without rings."""
+    result = np.tile([np.inf, -np.inf, 0.0, 0.0], (count, 1))
+    for column, combine in enumerate((np.minimum, np.maximum, np.add, np.add)):
+        combine.at(result[:, column], layer, sums[:, column])
+    result[np.bincount(layer, minlength=count) == 0] = np.nan
+    return result
 
 
 def error_reduction(before: pd.DataFrame, after: pd.DataFrame) -> pd.Series:
@@ -134,83 +145,6 @@ def _totals(table: pd.DataFrame, kind: str, weight: str) -> dict[str, float]:
         "rms": float(np.sqrt(np.average(table[f"{kind}_rms_mm"].to_numpy(float) ** 2, weights=weights))),
         "mean_abs": float(np.average(table[f"{kind}_mean_abs_mm"].to_numpy(float), weights=weights)),
     }
-
-
-# -- tables ----------------------------------------------------------------------------------------
-
-
-def _by_ring(
-    measured: Layers | Curves, errors: RingErrors, layer: Ints, outer: Bools, rays: int, samples: int
-) -> pd.DataFrame:
-    table = pd.DataFrame(
-        {
-            "layer": layer,
-            "height_mm": measured.heights[layer],
-            "ring": errors.measured,
-            "reference_ring": errors.reference,
-            "outer": outer,
-            "polar_defined": ~np.isnan(errors.polar[:, 0]),
-        }
-    )
-    for kind, sums, count in (("polar", errors.polar, rays), ("normal", errors.normal, samples)):
-        _add_figures(table, kind, sums, np.full(len(table), count))
-    table["samples"] = samples
-    return table
-
-
-def _by_layer(
-    measured: Layers | Curves,
-    reference: Layers | Curves,
-    errors: RingErrors,
-    layer: Ints,
-    outer: Bools,
-    rays: int,
-    samples: int,
-) -> pd.DataFrame:
-    count = len(measured)
-    defined = ~np.isnan(errors.polar[:, 0])
-    pairs = np.bincount(layer, minlength=count)
-    outers = np.bincount(layer[outer], minlength=count)
-    polars = np.bincount(layer[defined], minlength=count)
-    closed = sum(
-        np.bincount(stack.ring_layer[stack.closed], minlength=count) for stack in (measured, reference)
-    )
-    table = pd.DataFrame(
-        {
-            "layer": np.arange(count),
-            "height_mm": measured.heights,
-            "rings": pairs,
-            "unmatched": closed - 2 * pairs,
-            "outer_rings": outers,
-            "polar_rings": polars,
-            "polar_defined": (polars == outers) & (outers > 0),
-        }
-    )
-    _add_figures(table, "polar", _layer_sums(errors.polar[defined], layer[defined], count), polars * rays)
-    _add_figures(table, "normal", _layer_sums(errors.normal, layer, count), pairs * samples)
-    table["samples"] = pairs * samples
-    return table
-
-
-def _layer_sums(sums: Floats, layer: Ints, count: int) -> Floats:
-    """:data:`MEASURES` of the rings, combined by layer; NaN for a layer without rings."""
-    result = np.zeros((count, len(MEASURES)))
-    result[:, 0], result[:, 1] = np.inf, -np.inf
-    np.minimum.at(result[:, 0], layer, sums[:, 0])
-    np.maximum.at(result[:, 1], layer, sums[:, 1])
-    for column in range(2, len(MEASURES)):
-        result[:, column] = np.bincount(layer, sums[:, column], minlength=count)
-    result[np.bincount(layer, minlength=count) == 0] = np.nan
-    return result
-
-
-def _add_figures(table: pd.DataFrame, kind: str, sums: Floats, counts: Ints) -> None:
-    divisor = np.maximum(counts, 1)
-    table[f"{kind}_min_mm"] = sums[:, 0]
-    table[f"{kind}_max_mm"] = sums[:, 1]
-    table[f"{kind}_rms_mm"] = np.sqrt(sums[:, 3] / divisor)
-    table[f"{kind}_mean_abs_mm"] = sums[:, 4] / divisor
-    table[f"{kind}_max_abs_mm"] = np.maximum(np.abs(sums[:, 0]), np.abs(sums[:, 1]))
 
 
 # -- one block of layers ---------------------------------------------------------------------------
@@ -251,35 +185,28 @@ def _orientation(stack: Layers | Curves) -> Floats:
 
 def _block_errors(
     measured: Layers | Curves, reference: Layers | Curves, start: int, stop: int, theta: Floats, samples: int
-) -> RingErrors:
+) -> tuple[Ints, Floats]:
+    """Pairs (n, 2) of rings of both stacks, and the :data:`MEASURES` (n, 2, 4) of their polar and normal errors."""
     ours, theirs = measured.block(start, stop), reference.block(start, stop)
     a, b = _polylines(ours), _polylines(theirs)
-    mine, partner = _pairs(
-        rings.bounds(a.points, a.ring_starts),
-        rings.bounds(b.points, b.ring_starts),
-        _orientation(ours),
-        _orientation(theirs),
-        ours.layer_starts,
-        theirs.layer_starts,
-    )
-    polar, normal = np.full((2, mine.size, len(MEASURES)), np.nan)
-    outer = _orientation(ours) > 0
-    for k, (i, j) in enumerate(zip(mine.tolist(), partner.tolist(), strict=True)):
+    boxes, others = rings.bounds(a.points, a.ring_starts), rings.bounds(b.points, b.ring_starts)
+    sign = _orientation(ours)
+    pairs = _pairs(boxes, others, sign, _orientation(theirs), ours.layer_starts, theirs.layer_starts)
+    errors = np.full((len(pairs), 2, len(MEASURES)), np.nan)
+    for k, (i, j) in enumerate(pairs.tolist()):
         ring = a.points[a.ring_starts[i] : a.ring_starts[i + 1]]
         other = b.points[b.ring_starts[j] : b.ring_starts[j + 1]]
-        if outer[i]:
+        if sign[i] > 0:
             centre = 0.5 * (other.min(axis=0) + other.max(axis=0))
-            polar[k] = _measures(_ray_radii(ring, centre, theta) - _ray_radii(other, centre, theta))
-        normal[k] = _measures(_normal_distances(_evenly_along(ring, samples), other))
-    return RingErrors(
-        mine + measured.layer_starts[start], partner + reference.layer_starts[start], polar, normal
-    )
+            errors[k, 0] = _measures(_ray_radii(ring, centre, theta) - _ray_radii(other, centre, theta))
+        errors[k, 1] = _measures(_normal_distances(_evenly_along(ring, samples), other))
+    return pairs + np.array([measured.layer_starts[start], reference.layer_starts[start]]), errors
 
 
 def _pairs(
     boxes: Floats, others: Floats, sign: Floats, other_sign: Floats, layer_starts: Ints, other_starts: Ints
-) -> tuple[Ints, Ints]:
-    """Pair closed rings of one direction whose boxes overlap, those with the nearest boxes first."""
+) -> Ints:
+    """Pairs (n, 2) of closed rings of one direction whose boxes overlap, those with the nearest boxes first."""
     found: list[tuple[int, int]] = []
     for a, b, c, d in zip(
         layer_starts[:-1], layer_starts[1:], other_starts[:-1], other_starts[1:], strict=True
@@ -295,13 +222,12 @@ def _pairs(
                 taken.add(one)
                 given.add(other)
                 found.append((one, other))
-    rows = np.array(found, np.int64).reshape(-1, 2)
-    return rows[:, 0], rows[:, 1]
+    return np.array(found, np.int64).reshape(-1, 2)
 
 
 def _measures(errors: Floats) -> list[float]:
     """The :data:`MEASURES` of some errors; NaN if one of them is."""
-    return [errors.min(), errors.max(), errors.sum(), (errors * errors).sum(), np.abs(errors).sum()]
+    return [errors.min(), errors.max(), (errors * errors).sum(), np.abs(errors).sum()]
 
 
 def _evenly_along(ring: Floats, count: int) -> Floats:
@@ -326,13 +252,6 @@ def _normal_distances(places: Floats, ring: Floats) -> Floats:
 
 
 # -- Polar radius of a contour about a centre, by the exact crossing of ray and segment (paper, section 5.2) ---
-
-
-NEARLY_HALF_TURN_RAD = 3.1
-"""A segment that spans a larger angle passes so near to the centre that every ray is tested on it."""
-
-ANGLE_MARGIN_RAD = 1e-9
-"""Rays this far beyond the ends of a segment are tested too: angles are rounded, crossings are not."""
 
 
 def polar_radius(ring: ArrayLike, centre: ArrayLike, theta_rad: ArrayLike) -> Floats:
@@ -366,12 +285,13 @@ def _ray_radii(ring: Floats, centre: Floats, theta: Floats) -> Floats:
     ends = np.sort(np.arctan2([py, qy], [px, qx]), axis=0)
     over = ends[1] - ends[0] > math.pi
     low, high = np.where(over, ends[1], ends[0]), np.where(over, ends[0] + turn, ends[1])
-    wide = high - low > NEARLY_HALF_TURN_RAD
+    wide = high - low > 3.1  # rad: the segment passes so near to the centre that every ray is tested on it
     low, high = np.where(wide, 0.0, low), np.where(wide, turn, high)
     # The directions run from 0 to 2 pi, low from -pi to pi.
     shift = np.array([[-turn], [0.0], [turn]])
-    first = np.searchsorted(theta, low + shift - ANGLE_MARGIN_RAD)
-    last = np.searchsorted(theta, high + shift + ANGLE_MARGIN_RAD, side="right")
+    margin = 1e-9  # rad: rays this far beyond the ends are tested, too; angles are rounded, crossings are not
+    first = np.searchsorted(theta, low + shift - margin)
+    last = np.searchsorted(theta, high + shift + margin, side="right")
     counts = np.where(wide & (shift != 0.0), 0, last - first).reshape(-1)
     begin = np.repeat(first.reshape(-1) - np.concatenate([[0], np.cumsum(counts)[:-1]]), counts)
     ray = begin + np.arange(begin.size)
