@@ -14,8 +14,8 @@ from ebamcheck.curves.columns import Curves, joined
 from ebamcheck.curves.edges import with_edges
 from ebamcheck.curves.gate import Slack, gated
 from ebamcheck.curves.interpolation import CENTRIPETAL, CHORD_LENGTH, bulges, interpolate
-from ebamcheck.curves.lifting import FLAT_MM, Lifting, Limits
-from ebamcheck.curves.oriented_contours import as_they_are, orient
+from ebamcheck.curves.lifting import Lifting, Limits
+from ebamcheck.curves.oriented_contours import FLAT_MM, as_they_are, orient
 from ebamcheck.curves.reduction import reduced_segments
 from ebamcheck.curves.segments import curves_of, smooth_segments
 from ebamcheck.curves.splitting import LINE, split

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ebamcheck.curves.oriented_contours import NO_PLANE, Sides, as_they_are
+from ebamcheck.curves.oriented_contours import FLAT_MM, NO_PLANE, Sides, as_they_are
 from ebamcheck.curves.sections import place, refined
 from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.layers.stack import Layers
@@ -32,9 +32,6 @@ curved edge over its chord, divided by this."""
 
 LEAST_SIDEWAYS = 1e-6  # Horizontal part of a unit normal below which the contour has no tangent there: the surface is level
 LEAST_CREASE = 0.1  # Sine of the angle between the normals on the two sides of a crease below which its direction is unknown
-
-FLAT_MM = 2e-5
-"""Chords whose joint lies this near to the line over both are one: the 32-bit rounding of a plane some hundred mm wide."""
 
 LARGEST_INFLECTION = np.sin(np.deg2rad(5.0))
 """Sine of the largest bends to opposite sides at the two ends of an edge; larger ones show a flat side between curved ones."""
