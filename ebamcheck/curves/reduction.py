@@ -10,36 +10,24 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ebamcheck.columns_file import starts_of
 from ebamcheck.curves.bezier import places_along
 from ebamcheck.curves.segments import Segments
 from ebamcheck.curves.splitting import ARC, LINE, SPLINE, angles
+from ebamcheck.geometry.raster import each_of
 from ebamcheck.kernels import Bools, Floats, Ints, kernel
 from ebamcheck.threads import run_blocks
-
-SHARE_OF_BULGE = 0.1
-"""Share of the greatest bulge of a ring's smooth curve that the reduction may give away. The tolerance is the lesser of this and
-the setting, lest what lifting gained be lost again."""
-
-LEAST_TOLERANCE_MM = 0.0005
-"""Least tolerance, however small the bulges: half of the least distance of contour points."""
-
-ARC_SHARE = 0.5  # Share of the tolerance within which an arc must stay: then the path is a circle, and not merely near one
-ARC_DIRECTION_RAD = 2e-3  # Largest error of the direction in which an arc ends; the next segment starts in the arc's direction
-
-LARGEST_RADIUS_MM = 10_000.0
-"""Largest radius of an arc: larger ones are nearly straight, with an ill-determined centre, and are written as cubics."""
 
 LARGEST_SWEEP_RAD = np.deg2rad(170.0)
 """Largest sweep of one arc: below half a turn, an arc given to a control by its radius is unambiguous."""
 
-LARGEST_TURN_RAD = np.deg2rad(120.0)  # Largest turn of one cubic: beyond it cubics loop
-NEWTON_STEPS = 2
-"""Rounds in which the samples' parameters move to their foot points and the cubic is fitted again."""
+LARGEST_RADIUS_MM = 10_000.0
+"""Largest radius of an arc: larger ones are nearly straight, with an ill-determined centre, and are written as cubics."""
 
+NEWTON_STEPS = (
+    2  # Rounds in which the samples' parameters move to their foot points and the cubic is fitted again
+)
 SAMPLES_A_SEGMENT = 4  # Places along each segment of the contour at which the reduced curve is checked
-CLOSED_LOOP_SHARE = 0.01  # A range whose ends are nearer to each other than this share of its length is not tried as one segment
-
-CHAINS_A_BLOCK = 16
 
 
 class Path(NamedTuple):
@@ -62,14 +50,13 @@ def reduced_segments(segments: Segments, tolerance_mm: float) -> Segments:
     begins[1:] |= kind[:-1] == LINE
     first = np.flatnonzero(begins[curved])
     sizes = np.diff(first, append=curved.size)
-    chain = np.repeat(np.arange(first.size), sizes)
     chord = B[curved, 3] - B[curved, 0]
-    long = np.hypot(*chord.T)
     turns = [np.abs(angles(leg, chord)) for leg in (B[curved, 1] - B[curved, 0], B[curved, 3] - B[curved, 2])]
-    bulge = np.zeros(first.size)
-    np.maximum.at(bulge, chain, 0.25 * long * np.maximum(*turns))
-    allowed = np.minimum(tolerance_mm, np.maximum(SHARE_OF_BULGE * bulge, LEAST_TOLERANCE_MM))
-    joints = np.concatenate([[0], np.cumsum(sizes + 1)]).astype(np.int64)
+    bulge = np.maximum.reduceat(0.25 * np.hypot(*chord.T) * np.maximum(*turns), first)
+    # At most a tenth of a ring's greatest bulge is given away, lest what lifting gained be lost again; but at least half of the
+    # least distance of contour points.
+    allowed = np.minimum(tolerance_mm, np.maximum(0.1 * bulge, 0.0005))
+    joints = starts_of(sizes + 1)
     path = _path_along(B[curved], first, sizes, joints)
     found, arc = np.empty((int(joints[-1]), 4, 2)), np.zeros(int(joints[-1]), np.bool_)
     counts = np.zeros(first.size, np.int64)
@@ -77,27 +64,25 @@ def reduced_segments(segments: Segments, tolerance_mm: float) -> Segments:
     def work(start: int, stop: int) -> None:
         _reduce(path, joints, allowed, start, stop, found, arc, counts)
 
-    run_blocks(work, first.size, CHAINS_A_BLOCK)
+    run_blocks(work, first.size, 16)
     sizes = np.where(kind == LINE, 1, 0)
     sizes[curved[first]] = counts
-    starts = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
-    source = np.repeat(np.arange(len(kind)), sizes)
-    place = np.arange(source.size) - starts[source]
-    is_line = kind[source] == LINE
-    chain_of = np.zeros(len(kind), np.int64)
-    chain_of[curved] = chain
-    row = np.where(is_line, 0, joints[chain_of[source]] + place) if first.size else source
-    both = np.concatenate([B, found])
-    arcs = np.concatenate([np.zeros(len(kind), np.bool_), arc])
-    row = np.where(is_line, source, len(kind) + row)
-    new_kind = np.where(is_line, LINE, np.where(arcs[row], ARC, SPLINE)).astype(np.uint8)
-    return Segments(both[row], new_kind, corner[source] & (place == 0), starts[segments.ring_starts])
+    source, place = each_of(sizes)
+    from_row = np.arange(
+        len(kind)
+    )  # the row of a line, or the first of what a chain became, in both together
+    from_row[curved[first]] = len(kind) + joints[:-1]
+    row = from_row[source] + place
+    arcs = np.concatenate([np.zeros(len(kind), np.bool_), arc])[row]
+    new_kind = np.where(kind[source] == LINE, LINE, np.where(arcs, ARC, SPLINE)).astype(np.uint8)
+    points, ring_starts = np.concatenate([B, found])[row], starts_of(sizes)[segments.ring_starts]
+    return Segments(points, new_kind, corner[source] & (place == 0), ring_starts)
 
 
 def _path_along(B: Floats, first: Ints, sizes: Ints, joints: Ints) -> Path:
     """Path along chains of cubics (n, 4, 2) that begin at the rows `first` and at the joints `joints`."""
     count = int(joints[-1])
-    at = np.arange(len(B)) + np.repeat(np.arange(first.size), sizes)
+    at = np.arange(len(B)) + each_of(sizes)[0]
     last, end = first + sizes - 1, joints[1:] - 1
     points, directions = np.empty((count, 2)), np.empty((count, 2))
     points[at], points[end] = B[:, 0], B[last, 3]
@@ -132,9 +117,9 @@ def _reduce(
         guess = 1
         while i < end:
             B = found[n]
-            for round_ in range(2):
-                reached[round_] = _farthest(path, direction, i, end, guess, allowed[c], round_, B)
-                guess = max(reached[round_] - i, 1)
+            for as_arc in range(2):
+                reached[as_arc] = _farthest(path, direction, i, end, guess, allowed[c], as_arc, B)
+                guess = max(reached[as_arc] - i, 1)
             turn = abs(path.turns[reached[1]] - path.turns[i])
             arc[n] = reached[1] - i > 1 and (reached[1] >= reached[0] or turn > 0.9 * LARGEST_SWEEP_RAD)
             j = reached[1] if arc[n] else reached[0]
@@ -170,18 +155,17 @@ def _reduce(
 
 @kernel
 def _farthest(
-    path: Path, direction: Floats, i: int, end: int, guess: int, tolerance: float, round_: int, B: Floats
+    path: Path, direction: Floats, i: int, end: int, guess: int, tolerance: float, as_arc: int, B: Floats
 ) -> int:
     """Farthest joint that one segment from joint i reaches within the tolerance; i + 1 at least."""
     low, step = 1, guess
     high = end - i + 1
     while low < high - 1:  # from the guess outward, then by halves
         size = min(low + step, high - 1) if step > 0 else (low + high) // 2
-        fits = (
-            _fit_arc(path, direction, i, i + size, tolerance, B)
-            if round_ == 1
-            else _fit_cubic(path, direction, i, i + size, tolerance, B)
-        )
+        if as_arc == 1:
+            fits = _fit_arc(path, direction, i, i + size, tolerance, B)
+        else:
+            fits = _fit_cubic(path, direction, i, i + size, tolerance, B)
         if fits:
             low = size
             step *= 2
@@ -200,7 +184,9 @@ def _fit_arc(path: Path, direction: Floats, i: int, j: int, tolerance: float, B:
     half = np.arctan2(direction[0] * y - direction[1] * x, direction[0] * x + direction[1] * y)
     if abs(half) > 0.5 * LARGEST_SWEEP_RAD or chord >= 2.0 * LARGEST_RADIUS_MM * np.sin(abs(half)):
         return False
-    if abs(path.turns[j] - path.turns[i] - 2.0 * half) > ARC_DIRECTION_RAD:
+    if (
+        abs(path.turns[j] - path.turns[i] - 2.0 * half) > 2e-3
+    ):  # the next segment starts in the arc's direction
         return False
     rise = 0.5 * chord * np.tan(0.5 * half)
     B[0], B[3] = p, q
@@ -211,7 +197,7 @@ def _fit_arc(path: Path, direction: Floats, i: int, j: int, tolerance: float, B:
     cx, cy = p[0] - radius * direction[1], p[1] + radius * direction[0]
     for k in range(SAMPLES_A_SEGMENT * i, SAMPLES_A_SEGMENT * j):
         off = abs(np.hypot(path.samples[k, 0] - cx, path.samples[k, 1] - cy) - abs(radius))
-        if off > ARC_SHARE * tolerance:
+        if off > 0.5 * tolerance:  # then the path is a circle, and not merely near one
             return False
     return True
 
@@ -219,13 +205,13 @@ def _fit_arc(path: Path, direction: Floats, i: int, j: int, tolerance: float, B:
 @kernel
 def _fit_cubic(path: Path, direction: Floats, i: int, j: int, tolerance: float, B: Floats) -> bool:
     """Cubic from joint i in a direction to joint j in its own, nearest to the samples; whether it fits."""
-    if abs(path.turns[j] - path.turns[i]) > LARGEST_TURN_RAD:
+    if abs(path.turns[j] - path.turns[i]) > np.deg2rad(120.0):  # beyond that cubics loop
         return False
     first, last = SAMPLES_A_SEGMENT * i, SAMPLES_A_SEGMENT * j
     length = path.lengths[last] - path.lengths[first]
     p, q = path.points[i], path.points[j]
     chord = np.hypot(q[0] - p[0], q[1] - p[1])
-    if chord <= CLOSED_LOOP_SHARE * length:
+    if chord <= 0.01 * length:  # nearly a closed loop
         return False
     back = path.directions[j]
     B[0], B[3] = p, q
@@ -249,7 +235,7 @@ def _fit_cubic(path: Path, direction: Floats, i: int, j: int, tolerance: float, 
             inner = 3.0 * s * u * (s * B[1, axis] + u * B[2, axis])
             off = s * s * s * B[0, axis] + inner + u * u * u * B[3, axis] - point[axis]
             square += off * off
-        if np.sqrt(square) > tolerance:  # that of a point of the cubic: never too small
+        if np.sqrt(square) > tolerance:
             return False
     return True
 
