@@ -6,10 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ebamcheck.columns_file import starts_of
+from ebamcheck.geometry.raster import each_of
 from ebamcheck.kernels import Bools, Floats, Ints, kernel
 from ebamcheck.threads import run_blocks
-
-RINGS_A_BLOCK = 64  # Fewest rings worth a thread
 
 
 class CleanRings(NamedTuple):
@@ -36,14 +36,14 @@ def clean(
     sizes = np.zeros(count, dtype=np.int64)
     collapsed = np.zeros(count, dtype=np.bool_)
 
+    tolerances = float(near_point_mm), float(collinear_mm)
+
     def work(first: int, last: int) -> None:
-        tolerances = float(near_point_mm), float(collinear_mm)
         _clean_rings(points, ring_starts, closed, tolerances, first, last, sweep, sizes, collapsed)
 
-    run_blocks(work, count, RINGS_A_BLOCK)
-    starts = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
-    places = np.arange(starts[-1]) + np.repeat(ring_starts[:-1] - starts[:-1], sizes)
-    return CleanRings(sweep[places], starts, collapsed)
+    run_blocks(work, count, 64)
+    ring, place = each_of(sizes)
+    return CleanRings(sweep[ring_starts[ring] + place], starts_of(sizes), collapsed)
 
 
 @kernel

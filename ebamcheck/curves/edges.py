@@ -11,18 +11,15 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ebamcheck.kernels import Floats
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.topology import Index
 from ebamcheck.threads import run_blocks
 
-LEAST_SHARE = 0.5
-"""Share of a stack's points that must lie on edges of the part: with fewer, the contours were traced from a raster."""
-
 
 def with_edges(layers: Layers, part: Part, tolerance_mm: float) -> Layers | None:
-    """Layers with the mesh edge of each point; None if they are not contours of the part.
+    """Layers with the mesh edge of each point; None if they are not contours of the part: less than half of their points are on
+    edges.
 
     A point farther than `tolerance_mm` from the place where the layer cuts its edge gets none.
     """
@@ -31,22 +28,29 @@ def with_edges(layers: Layers, part: Part, tolerance_mm: float) -> Layers | None
     count = len(layers.points)
     edge, edge_t = np.full((count, 2), -1, np.int32), np.zeros(count)
     ends = _edges(part)
-    low, high = part.vertices[ends[:, 0], 2], part.vertices[ends[:, 1], 2]
-    by_low = np.argsort(low, kind="stable")
-    sorted_low = low[by_low]
+    low, high = part.vertices[ends[:, 0]], part.vertices[ends[:, 1]]
+    by_low = np.argsort(low[:, 2], kind="stable")
+    sorted_low = low[by_low, 2]
     starts = layers.ring_starts[layers.layer_starts]
+    reach_mm = float(np.nextafter(tolerance_mm, np.inf))
 
     def work(first: int, last: int) -> None:
         for k in range(first, last):
-            z = float(layers.heights[k])
+            z, rows = float(layers.heights[k]), np.arange(starts[k], starts[k + 1])
             begun = by_low[: int(np.searchsorted(sorted_low, z, side="right"))]
-            cut = begun[high[begun] > z]
-            a, b = int(starts[k]), int(starts[k + 1])
-            _match(part.vertices, ends[cut], layers.points[a:b], z, tolerance_mm, edge[a:b], edge_t[a:b])
+            cut = begun[high[begun, 2] > z]
+            if not cut.size or not rows.size:
+                continue
+            t = (z - low[cut, 2]) / (high[cut, 2] - low[cut, 2])
+            places = low[cut, :2] + t[:, None] * (high[cut] - low[cut])[:, :2]
+            away, nearest = cKDTree(places).query(layers.points[rows], distance_upper_bound=reach_mm)
+            near = np.isfinite(away)
+            chosen = np.asarray(nearest)[near]
+            edge[rows[near]], edge_t[rows[near]] = ends[cut[chosen]], t[chosen]
 
     run_blocks(work, len(layers))
-    if count and np.count_nonzero(edge[:, 0] >= 0) < LEAST_SHARE * count:
-        return None
+    if count and np.count_nonzero(edge[:, 0] >= 0) < 0.5 * count:
+        return None  # traced from a raster
     return replace(layers, edge=edge, edge_t=edge_t)
 
 
@@ -59,18 +63,3 @@ def _edges(part: Part) -> Index:
     pairs = pairs[z[pairs[:, 0]] < z[pairs[:, 1]]]
     key = pairs[:, 0].astype(np.int64) * len(part.vertices) + pairs[:, 1]
     return np.ascontiguousarray(pairs[np.unique(key, return_index=True)[1]], dtype=np.int32)
-
-
-def _match(
-    vertices: Floats, ends: Index, points: Floats, z: float, tolerance: float, edge: Index, edge_t: Floats
-) -> None:
-    """Give each point the edge whose cut is nearest, of those within the tolerance."""
-    if not len(ends) or not len(points):
-        return
-    low, high = vertices[ends[:, 0]], vertices[ends[:, 1]]
-    t = (z - low[:, 2]) / (high[:, 2] - low[:, 2])
-    places = low[:, :2] + t[:, None] * (high - low)[:, :2]
-    away, chosen = cKDTree(places).query(points, distance_upper_bound=np.nextafter(tolerance, np.inf))
-    near = np.flatnonzero(np.isfinite(away))
-    rows = np.asarray(chosen)[near]
-    edge[near], edge_t[near] = ends[rows], t[rows]

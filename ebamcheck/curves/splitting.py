@@ -7,14 +7,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ebamcheck.columns_file import starts_of
 from ebamcheck.curves.cleaning import CleanRings
+from ebamcheck.geometry.raster import each_of
 from ebamcheck.kernels import Bools, Floats, Ints
 
 LINE, SPLINE, ARC = 0, 1, 2
 """Kinds of piece: the polyline of its control points, a cubic B-spline, a circular arc through three points."""
-
-ANGLE_ROUNDING_DEG = 1e-9
-"""Angles this near to the corner angle count as equal to it, so that rotating a part changes nothing."""
 
 STRAIGHT_RATIO = 3.0
 """A straight run is this many times longer than any of the two segments on either side of it.
@@ -34,11 +33,7 @@ class Runs(NamedTuple):
 
 
 def split(
-    points: Floats,
-    cleaned: CleanRings,
-    closed: Bools,
-    corner_angle_deg: float,
-    straight_run_mm: float,
+    points: Floats, cleaned: CleanRings, closed: Bools, corner_angle_deg: float, straight_run_mm: float
 ) -> Runs:
     """Split clean rings at their corners and at the ends of straight segments.
 
@@ -58,9 +53,9 @@ def split(
     first, last = at <= previous, following <= at
     has_segment = (closed[ring] | ~last) & (following != at)
     whole = collapsed[ring]
-    corner = (~closed[ring] & (first | last)) | (
-        turn > np.deg2rad(180.0 - corner_angle_deg + ANGLE_ROUNDING_DEG)
-    )
+    # Angles within 1e-9 degrees of the corner angle count as equal to it, so that rotating a part changes nothing.
+    corner = turn > np.deg2rad(180.0 - corner_angle_deg + 1e-9)
+    corner |= ~closed[ring] & (first | last)
     alone = corner & corner[following]
     longest = longest_beside(length, corner, following, previous)
     straight = alone | ((length >= straight_run_mm) & (length >= STRAIGHT_RATIO * longest))
@@ -73,13 +68,13 @@ def split(
     begin = np.flatnonzero(split_at[segment])
     sizes = np.diff(begin, append=segment.size)
     head, end = segment[begin], following[segment[begin + sizes - 1]]
-    run_starts = np.concatenate([[0], np.cumsum(sizes + 1)]).astype(np.int64)
+    run_starts = starts_of(sizes + 1)
     of_runs = np.empty((int(run_starts[-1]), 2))
     kept = points[rows[order]]
-    of_runs[np.arange(segment.size) + np.repeat(np.arange(sizes.size), sizes)] = kept[segment]
+    of_runs[np.arange(segment.size) + each_of(sizes)[0]] = kept[segment]
     of_runs[run_starts[1:] - 1] = kept[end]
     counts = np.bincount(ring[head], minlength=closed.size)
-    ring_starts = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+    ring_starts = starts_of(counts)
     curved = ~whole[head] & ~straight[head]
     single = counts[ring[head]] == 1
     runs = Runs(
@@ -123,8 +118,7 @@ def longest_beside(length: Floats, corner: Bools, following: Ints, previous: Int
 def from_a_split(split_at: Bools, starts: Ints, closed: Bools) -> Ints:
     """Order of rows in which closed rings start at the first of their splits, where they have one."""
     sizes = np.diff(starts)
-    ring = np.repeat(np.arange(closed.size), sizes)
-    place = np.arange(ring.size) - starts[ring]
+    ring, place = each_of(sizes)
     first = np.full(closed.size, np.iinfo(np.int64).max)
     np.minimum.at(first, ring[split_at], place[split_at])
     first[(first >= sizes) | ~closed] = 0
