@@ -58,21 +58,12 @@ def signed_distance(row: Floats, x: float, y: float, z: float) -> Signed:
         return across - row[OWN + 3], x, y, z
     if kind == CONE:
         cosine, sine = row[OWN + 3], row[OWN + 4]
-        return (
-            across * cosine - along * sine,
-            x * cosine - u * sine,
-            y * cosine - v * sine,
-            z * cosine - w * sine,
-        )
+        x, y, z = x * cosine - u * sine, y * cosine - v * sine, z * cosine - w * sine
+        return across * cosine - along * sine, x, y, z
     off = across - row[OWN + 3]
     away = max(np.sqrt(off * off + along * along), LEAST)
-    off, along_share = off / away, along / away
-    return (
-        away - row[OWN + 4],
-        x * off + u * along_share,
-        y * off + v * along_share,
-        z * off + w * along_share,
-    )
+    off, along = off / away, along / away
+    return away - row[OWN + 4], x * off + u * along, y * off + v * along, z * off + w * along
 
 
 @kernel
@@ -86,10 +77,6 @@ def signed_distances(rows: Floats, points: Floats) -> Floats:
 
 
 # -- growing: from some planar groups of facets on a surface to all connected groups that lie on it ---------------
-
-FACES_ALONG = 0.7  # Least cosine between the normals of a facet and of its surface: some 45 degrees, about the crease angle
-LEAST_TOLD = 3
-"""Fewest told corners of a group, all of which must lie on the surface; one less for a single facet."""
 
 
 class Ground(NamedTuple):
@@ -140,11 +127,9 @@ def grown(
             f = ground.facets[at]
             # Of each facet the corners, the middles of its edges, and its own.
             for k in range(7):
+                a, b = ground.faces[f, k % 3], ground.faces[f, (k + 1) % 3]
                 for axis in range(3):
-                    p, q = (
-                        ground.vertices[ground.faces[f, k % 3], axis],
-                        ground.vertices[ground.faces[f, (k + 1) % 3], axis],
-                    )
+                    p, q = ground.vertices[a, axis], ground.vertices[b, axis]
                     place[axis] = p if k < 3 else 0.5 * (p + q)
                     if k == 6:
                         place[axis] = (p + q + ground.vertices[ground.faces[f, 2], axis]) / 3.0
@@ -156,11 +141,12 @@ def grown(
                 elif k == 6:
                     n = ground.normals[group]
                     facing = (found[1] * n[0] + found[2] * n[1] + found[3] * n[2]) * row[SIDE]
-                    away = away if facing >= FACES_ALONG else np.inf
+                    away = away if facing >= 0.7 else np.inf  # some 45 degrees, about the crease angle
                 off = max(off, away)
             if not off <= largest:
                 break
-        if not off <= largest or off == np.inf or told < (LEAST_TOLD if last - first > 1 else LEAST_TOLD - 1):
+        # Three corners of a group must be told, of a single facet two.
+        if not off <= largest or off == np.inf or told < (3 if last - first > 1 else 2):
             continue
         sagittas[group] = off
         count += 1

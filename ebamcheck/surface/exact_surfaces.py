@@ -13,15 +13,13 @@ import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from ebamcheck.kernels import Bools, Floats, Ints
+from ebamcheck.geometry.raster import each_of
+from ebamcheck.kernels import Bools, Floats
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.topology import NO_TWIN, Index, split_corners
 from ebamcheck.surface.exact_forms import FLAT, KIND, OWN, PLACE, SIDE, SIZE, Ground, grown, signed_distances
 from ebamcheck.surface.form_fits import told_forms
 from ebamcheck.surface.regions import PLANE, STRIP, Regions
-
-FIT = 3.0
-"""Tolerance of a fitted surface, over that of a plane: errors of the fitted position and size add to those of the vertices."""
 
 NO_SURFACE = -1
 
@@ -32,8 +30,6 @@ MOST_OF_TYPICAL = 25.0
 
 MOST_PIECES = 1000
 """Pieces that may fail before the search stops, the largest first: a noisy mesh has very many."""
-
-MOST_ROUNDS = 6  # Rounds of growing and fitting for one surface; it usually stops growing after two or three
 
 
 class ExactSurfaces(NamedTuple):
@@ -51,25 +47,21 @@ def exact_surfaces(
     `twin` (3 F,) is the half-edge across each, -1 at creases; `across` the same at creases, too; `typical_mm` the median sagitta of
     the mesh, from its dihedral angles.
     """
-    return _Search(part, twin, across, regions, typical_mm).run()
+    return _Search(part, twin, across, regions, MOST_OF_TYPICAL * typical_mm).run()
 
 
 class _Search:
     """State of the search for exact surfaces: what is found, and the planar groups that it has taken."""
 
-    def __init__(self, part: Part, twin: Index, across: Index, regions: Regions, typical_mm: float) -> None:
-        self.across = across
-        self.largest_mm = MOST_OF_TYPICAL * typical_mm
-        groups = regions.groups
-        vertices, faces = part.vertices, part.faces
-        sectors = split_corners(faces, twin)
-        told = told_corners(vertices, faces, groups.label, sectors, regions.tolerance_mm)
+    def __init__(self, part: Part, twin: Index, across: Index, regions: Regions, largest_mm: float) -> None:
+        groups, vertices, faces = regions.groups, part.vertices, part.faces
+        told = told_corners(vertices, faces, groups.label, split_corners(faces, twin), regions.tolerance_mm)
         self.ground = Ground(
             vertices, faces, twin, groups.label, groups.starts, groups.facets, groups.normals, told
         )
-        self.kind = regions.kind
-        self.areas = groups.areas
-        self.tolerance_mm = FIT * regions.tolerance_mm
+        self.across, self.kind, self.areas = across, regions.kind, groups.areas
+        # Errors of a fitted position and size add to those of the vertices.
+        self.tolerance_mm, self.largest_mm = 3.0 * regions.tolerance_mm, largest_mm
         self.middles: Floats = vertices[faces].mean(axis=1)
         self.taken: Bools = np.zeros(len(groups.normals), np.bool_)
         self.of_group = np.full(len(groups.normals), NO_SURFACE, np.int32)
@@ -100,7 +92,7 @@ class _Search:
             facets = ground.facets[ground.starts[group] : ground.starts[group + 1]]
             row = np.zeros((1, SIZE))
             row[0, KIND], row[0, SIDE] = FLAT, 1.0
-            row[0, PLACE : PLACE + 3] = ground.vertices[np.unique(ground.faces[facets])].mean(axis=0)
+            row[0, PLACE:OWN] = ground.vertices[np.unique(ground.faces[facets])].mean(axis=0)
             row[0, OWN : OWN + 3] = ground.normals[group]
             label[facets] = number
             found.append(row)
@@ -142,7 +134,8 @@ class _Search:
     def _forms(self, groups: Index) -> Iterator[Floats]:
         """Forms fitted to the told vertices of groups (:mod:`ebamcheck.surface.exact_surfaces`), with their sides set."""
         ground = self.ground
-        facets = _facets_of(ground, groups)
+        group, place = each_of(ground.starts[groups + 1] - ground.starts[groups])
+        facets = ground.facets[ground.starts[groups][group] + place].astype(np.int64)
         corners = np.unique(ground.faces[facets][ground.told[facets]])
         normals = ground.normals[ground.label[facets]]
         places = self.middles[facets]
@@ -161,7 +154,7 @@ class _Search:
         """
         sagittas = np.empty(len(self.taken))
         before = 0
-        for _ in range(MOST_ROUNDS):
+        for _ in range(6):  # it usually stops growing after two or three
             count = grown(self.ground, groups, self.taken, row, self.tolerance_mm, self.largest_mm, sagittas)
             if count < 2:
                 return None
@@ -209,22 +202,12 @@ def _without_flat_sides(sagittas: Floats) -> float:
     return float(1.01 * upper[leaps[0]]) if leaps.size else np.inf
 
 
-def _facets_of(ground: Ground, groups: Index) -> Ints:
-    """Facets of some groups."""
-    sizes = ground.starts[groups + 1] - ground.starts[groups]
-    first = np.repeat(ground.starts[groups] - np.concatenate([[0], np.cumsum(sizes)[:-1]]), sizes)
-    return np.asarray(ground.facets[first + np.arange(first.size)], np.int64)
-
-
 # -- Told corners: vertices that lie on the surface that a mesh approximates, as far as its facets can tell ----
 #
 # Only vertices at which several planar groups meet smoothly lie on the surface for certain. A vertex inside
 # one group, or at the outer border of only one, lies in that group's plane, and may be as far from the
 # surface as the facet is: Boolean operations on meshes leave such vertices. So may a vertex on the line
 # between two of its neighbours, which merely splits an edge.
-
-
-STRAIGHT_COSINE = 0.99  # Two edges at a vertex may be one line if the cosine of the angle between them is less than minus this
 
 
 def told_corners(vertices: Floats, faces: Index, label: Index, sectors: Index, tolerance_mm: float) -> Bools:
@@ -248,18 +231,16 @@ def _split_edges(vertices: Floats, faces: Index, tolerance: float) -> Bools:
     order = np.argsort(corners, kind="stable")
     sizes = np.bincount(corners, minlength=len(vertices))
     split = np.zeros(len(vertices), np.bool_)
-    at = np.concatenate([[0], np.cumsum(sizes)])
-    place = np.arange(order.size) - np.repeat(at[:-1], sizes)
+    place = each_of(sizes)[1]
     # Each neighbour with the one `step` places before it, for all vertices at once.
     for step in range(1, int(sizes.max(initial=0))):
-        k = np.flatnonzero(place >= step)
-        i = corners[order[k]]
-        k = k[~split[i]]
+        k = np.flatnonzero((place >= step) & ~split[corners[order]])
         i = corners[order[k]]
         u = vertices[ahead[order[k]]] - vertices[i]
         v = vertices[ahead[order[k - step]]] - vertices[i]
         to, away, along = (np.einsum("ij,ij->i", a, b) for a, b in ((u, u), (v, v), (u, v)))
-        straight = (along < 0.0) & (along * along >= STRAIGHT_COSINE * STRAIGHT_COSINE * to * away)
+        # Two edges may be one line if the cosine of the angle between them is less than -0.99.
+        straight = (along < 0.0) & (along * along >= 0.99 * 0.99 * to * away)
         across = np.cross(u, v)
         off = np.einsum("ij,ij->i", across, across)
         split[i[straight & (off <= tolerance * tolerance * (to + away - 2.0 * along))]] = True

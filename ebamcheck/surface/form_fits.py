@@ -8,7 +8,7 @@ be none.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -27,130 +27,109 @@ from ebamcheck.surface.exact_forms import (
     signed_distances,
 )
 
-MOST_POINTS = 400  # Most vertices used for a fit, evenly spread; all are then checked against it
-LEAST_POINTS = 6  # Fewest vertices for a fit: any five lie on a cylinder, or nearly so
-LEAST_RULINGS = 4  # Fewest distinct rulings of a cylinder or cone: three always lie on one
 SPARE = 7  # Vertices beyond the unknowns of a form without strips: a decimated mesh has six or eight on many a cylinder by chance
-LEAST_HEIGHTS = 3  # Fewest distinct heights along the axis of a cylinder or cone that only vertices support
 APART = 20.0  # Least distance between places that count as distinct, in tolerances
-LEAST_PROFILE = 4  # Fewest distinct points on the profile of a torus: three always lie on one circle
-CUBIC_TERMS = 20  # Coefficients of a cubic surface: from this many vertices on, cubics through them can contradict the quadric
-
-OWN_CUBICS = 4
-"""Independent cubics that contain a given quadric (it times x, y, z or 1); if more pass through the vertices, these do not
-determine the quadric."""
-
-MOST_RADIUS = 1e3  # Largest radius over the size of the fitted points: beyond it they may as well be flat
 
 
 def told_forms(
-    points: Floats,
-    places: Floats,
-    normals: Floats,
-    tolerance_mm: float,
-    straight: bool = False,
+    points: Floats, places: Floats, normals: Floats, tolerance_mm: float, straight: bool = False
 ) -> Iterator[Floats]:
     """Forms (SIZE,) on which vertices (n, 3) lie, the simplest first; their side is to be set.
 
     The first guess is by middles and normals of facets. `straight`: all of these are strips, which show that the surface is
-    straight from rim to rim.
+    straight from rim to rim. No form is 1000 times larger than its points: it may as well be flat.
     """
-    if len(points) > MOST_POINTS:
-        points = points[np.linspace(0, len(points) - 1, MOST_POINTS).astype(np.int64)]
-    if len(places) > MOST_POINTS:
-        chosen = np.linspace(0, len(places) - 1, MOST_POINTS).astype(np.int64)
-        places, normals = places[chosen], normals[chosen]
-    if len(points) < LEAST_POINTS:
+    points, (places, normals) = _spread(points)[0], _spread(places, normals)
+    size = float(np.ptp(points, axis=0).max(initial=0.0))
+    if len(points) < 6 or size <= 0.0:  # any five points lie on a cylinder, or nearly so
         return
-    size = float(np.ptp(points, axis=0).max())
-    if size <= 0.0:
-        return
-    middle = points.mean(axis=0)
-    quadrics = _Quadrics(points, middle, size, tolerance_mm)
-    if quadrics.count:
-        if quadrics.count == 1 and (quadrics.borne_out or len(points) < CUBIC_TERMS):
-            yield from _kept(_sphere(points, middle), points, size, tolerance_mm)
-        for first in (_cylinder, _cone):
-            for row in _kept(first(points, places, normals), points, size, tolerance_mm):
+
+    def kept(first: Floats | None) -> Iterator[Floats]:
+        """The form refined from its first guess, if the points lie on it."""
+        if first is None or not np.isfinite(first).all():
+            return
+        row = refined(first, points, tolerance_mm)
+        if np.abs(row[OWN : OWN + 5]).max() <= 1e3 * size and _farthest(row, points) <= tolerance_mm:
+            yield row
+
+    count, only = _quadrics(points, size, tolerance_mm)
+    if count:
+        if only is not None or (count == 1 and len(points) < CUBIC_TERMS):
+            yield from kept(_sphere(points))
+        for guess in (_cylinder, _cone):
+            for row in kept(guess(points, places, normals)):
                 if _is_ruled(row, points, tolerance_mm, straight):
                     yield row
-    if len(points) >= 7 + SPARE and not quadrics.count:
-        for row in _kept(_torus(points, places, normals), points, size, tolerance_mm):
-            if _profile_points(row, points, tolerance_mm) >= LEAST_PROFILE:
+    elif len(points) >= 7 + SPARE:
+        for row in kept(_torus(points, places, normals)):
+            if _profile_points(row, points, tolerance_mm) >= 4:  # three always lie on one circle
                 yield row
-    if quadrics.count == 1 and quadrics.borne_out:
-        yield quadrics.only
+    if only is not None:
+        yield only
 
 
-def _kept(row: Floats | None, points: Floats, size: float, tolerance_mm: float) -> Iterator[Floats]:
-    """The form refined from its first guess, if the points lie on it."""
-    if row is None or not np.isfinite(row).all():
-        return
-    found = refined(row, points, tolerance_mm)
-    if np.abs(found[OWN : OWN + 5]).max() > MOST_RADIUS * size:
-        return
-    off = signed_distances(found[None], points)[:, 0]
-    if np.abs(off).max() <= tolerance_mm:
-        yield found
+def _spread(*columns: Floats) -> list[Floats]:
+    """At most 400 rows of columns, evenly spread: all points are checked against what is fitted to these."""
+    count = len(columns[0])
+    return [c[np.linspace(0, count - 1, 400).astype(np.int64)] if count > 400 else c for c in columns]
 
 
-class _Quadrics:
-    """Quadrics through points: `count` independent ones; if that is 1, `only` is it, and `borne_out` if cubics confirm it."""
-
-    def __init__(self, points: Floats, middle: Floats, size: float, tolerance_mm: float) -> None:
-        unit = (points - middle) / size
-        least = tolerance_mm / size
-        rows = _monomials(unit)
-        self.count = 0
-        self.borne_out = False
-        if len(unit) < rows.shape[1]:
-            self.count = 2
-            return
-        _, values, vectors = np.linalg.svd(rows / np.sqrt(len(unit)), full_matrices=False)
-        self.count = int(np.count_nonzero(values <= least))
-        if self.count != 1:
-            return
-        own = vectors[-1]
-        row = np.zeros(SIZE)
-        row[PLACE - 1], row[PLACE : PLACE + 3] = QUADRIC, middle
-        row[OWN : OWN + 10] = own / np.concatenate([np.full(6, size * size), np.full(3, size), [1.0]])
-        if np.abs(signed_distances(row[None], points)[:, 0]).max() > tolerance_mm:
-            self.count = 0
-            return
-        self.only = row
-        cubics = np.concatenate([rows, _cubic_monomials(unit)], axis=1)
-        if len(unit) >= CUBIC_TERMS:
-            values = np.linalg.svd(cubics / np.sqrt(len(unit)), compute_uv=False)
-            self.borne_out = int(np.count_nonzero(values <= least)) <= OWN_CUBICS
+def _farthest(row: Floats, points: Floats) -> float:
+    return float(np.abs(signed_distances(row[None], points)[:, 0]).max())
 
 
-def _monomials(p: Floats) -> Floats:
-    x, y, z = p.T
-    return np.column_stack([x * x, y * y, z * z, x * y, x * z, y * z, x, y, z, np.ones(len(p))])
+CUBIC_TERMS = 20  # Coefficients of a cubic surface: from this many vertices on, cubics through them can contradict the quadric
 
 
-def _cubic_monomials(p: Floats) -> Floats:
-    x, y, z = p.T
+def _quadrics(points: Floats, size: float, tolerance_mm: float) -> tuple[int, Floats | None]:
+    """Number of independent quadrics through points, and the one if it is the only one and no cubics contradict it.
+
+    Four cubics contain a quadric (it times x, y, z or 1); if more pass through the points, these do not determine it.
+    """
+    middle = points.mean(axis=0)
+    x, y, z = unit = ((points - middle) / size).T
     squares = (x * x, y * y, z * z)
-    return np.column_stack([s * t for s in squares for t in (x, y, z)] + [x * y * z])
+    rows = np.column_stack([*squares, x * y, x * z, y * z, x, y, z, np.ones(x.size)])
+    if x.size < rows.shape[1]:
+        return 2, None
+    least, weight = tolerance_mm / size, np.sqrt(x.size)
+    _, values, vectors = np.linalg.svd(rows / weight, full_matrices=False)
+    count = int(np.count_nonzero(values <= least))
+    if count != 1:
+        return count, None
+    own = vectors[-1] / np.concatenate([np.full(6, size * size), np.full(3, size), [1.0]])
+    row = _row(QUADRIC, middle, own)
+    if _farthest(row, points) > tolerance_mm:
+        return 0, None
+    if x.size < CUBIC_TERMS:
+        return 1, None
+    cubics = np.column_stack([rows, *(s * t for s in squares for t in unit), x * y * z])
+    values = np.linalg.svd(cubics / weight, compute_uv=False)
+    return 1, row if np.count_nonzero(values <= least) <= 4 else None
 
 
 # -- first guesses -----------------------------------------------------------------------------------------
 
 
-def _sphere(points: Floats, middle: Floats) -> Floats:
-    off = points - middle
-    rows = np.column_stack([2.0 * off, np.ones(len(off))])
-    solution = np.linalg.lstsq(rows, (off * off).sum(axis=1), rcond=None)[0]
+def _row(kind: int, place: Floats, own: Sequence[float] | Floats) -> Floats:
+    """A form in the layout of exact_forms, its side to be set."""
     row = np.zeros(SIZE)
-    row[0], row[PLACE : PLACE + 3] = SPHERE, middle + solution[:3]
-    row[OWN] = np.linalg.norm(off - solution[:3], axis=1).mean()
+    row[KIND], row[PLACE:OWN], row[OWN : OWN + len(own)] = kind, place, own
     return row
 
 
-def _axis_by_normals(normals: Floats) -> Floats:
-    """The unit direction with which all normals make the same angle, as nearly as can be."""
-    return np.asarray(np.linalg.svd(normals - normals.mean(axis=0), full_matrices=False)[2][-1])
+def _sphere(points: Floats) -> Floats:
+    centre, radius = _ball(points)
+    return _row(SPHERE, centre, [radius])
+
+
+def _ball(points: Floats) -> tuple[Floats, float]:
+    """Centre and radius of the circle through points (n, 2), or of the sphere through points (n, 3)."""
+    middle = points.mean(axis=0)
+    off = points - middle
+    rows = np.column_stack([2.0 * off, np.ones(len(off))])
+    centre = np.linalg.lstsq(rows, (off * off).sum(axis=1), rcond=None)[0][:-1]
+    return middle + centre, float(np.linalg.norm(off - centre, axis=1).mean())
 
 
 def _across(axis: Floats) -> Floats:
@@ -158,29 +137,28 @@ def _across(axis: Floats) -> Floats:
     return np.asarray(np.linalg.svd(axis[None])[2][1:])
 
 
-def _cylinder(points: Floats, places: Floats, normals: Floats) -> Floats | None:
+def _around(points: Floats, axis: Floats) -> tuple[Floats, Floats]:
+    """Places (n,) of points, from a place on an axis, along it, and their distances from it."""
+    along = points @ axis
+    return along, np.linalg.norm(points - along[:, None] * axis, axis=1)
+
+
+def _cylinder(points: Floats, places: Floats, normals: Floats) -> Floats:
     axis = np.linalg.svd(normals, full_matrices=False)[2][-1]
     frame = _across(axis)
-    centre, radius = _circle(points @ frame.T)
-    row = np.zeros(SIZE)
-    row[0], row[PLACE : PLACE + 3] = CYLINDER, centre @ frame + axis * float((points @ axis).mean())
-    row[OWN : OWN + 3], row[OWN + 3] = axis, radius
-    return row
+    centre, radius = _ball(points @ frame.T)
+    return _row(CYLINDER, centre @ frame + axis * float((points @ axis).mean()), [*axis, radius])
 
 
-def _cone(points: Floats, places: Floats, normals: Floats) -> Floats | None:
-    axis = _axis_by_normals(normals)
+def _cone(points: Floats, places: Floats, normals: Floats) -> Floats:
+    """Axis: the direction with which all normals make the same angle; tip: where all tangent planes meet."""
+    axis = np.linalg.svd(normals - normals.mean(axis=0), full_matrices=False)[2][-1]
     tip = np.linalg.lstsq(normals, (normals * places).sum(axis=1), rcond=None)[0]
-    off = points - tip
-    along = off @ axis
+    along, across = _around(points - tip, axis)
     if along.mean() < 0.0:
         axis, along = -axis, -along
-    across = np.linalg.norm(off - along[:, None] * axis, axis=1)
     angle = float(np.median(np.arctan2(across, along)))
-    row = np.zeros(SIZE)
-    row[0], row[PLACE : PLACE + 3] = CONE, tip
-    row[OWN : OWN + 5] = *axis, np.cos(angle), np.sin(angle)
-    return row
+    return _row(CONE, tip, [*axis, np.cos(angle), np.sin(angle)])
 
 
 def _torus(points: Floats, places: Floats, normals: Floats) -> Floats | None:
@@ -195,23 +173,9 @@ def _torus(points: Floats, places: Floats, normals: Floats) -> Floats | None:
         return None
     axis = direction / length
     foot = np.cross(direction, moment) / (length * length)
-    at = (points - middle) / size - foot
-    along = at @ axis
-    across = np.linalg.norm(at - along[:, None] * axis, axis=1)
-    centre, tube = _circle(np.column_stack([across, along]))
-    row = np.zeros(SIZE)
-    row[0], row[PLACE : PLACE + 3] = TORUS, middle + size * (foot + centre[1] * axis)
-    row[OWN : OWN + 5] = *axis, size * centre[0], size * tube
-    return row
-
-
-def _circle(points: Floats) -> tuple[Floats, float]:
-    """Centre and radius of the circle through points (n, 2)."""
-    middle = points.mean(axis=0)
-    off = points - middle
-    rows = np.column_stack([2.0 * off, np.ones(len(off))])
-    solution = np.linalg.lstsq(rows, (off * off).sum(axis=1), rcond=None)[0]
-    return middle + solution[:2], float(np.linalg.norm(off - solution[:2], axis=1).mean())
+    along, across = _around((points - middle) / size - foot, axis)
+    centre, tube = _ball(np.column_stack([across, along]))
+    return _row(TORUS, middle + size * (foot + centre[1] * axis), [*axis, size * centre[0], size * tube])
 
 
 # -- what is told ------------------------------------------------------------------------------------------
@@ -220,29 +184,26 @@ def _circle(points: Floats) -> tuple[Floats, float]:
 def _is_ruled(row: Floats, points: Floats, tolerance_mm: float, straight: bool) -> bool:
     """Whether points determine the rulings of a cylinder or cone: by two on each where there are strips, else by three heights."""
     axis = row[OWN : OWN + 3]
-    off = points - row[PLACE : PLACE + 3]
+    off = points - row[PLACE:OWN]
     flat = off @ _across(axis).T
     reach = float(np.linalg.norm(flat, axis=1).max())
     around = np.sort(np.arctan2(flat[:, 1], flat[:, 0])) * reach
     rulings = _distinct(around, APART * tolerance_mm)
     # One ruling may have its points on both sides of the half turn.
     rulings -= rulings > 1 and around[0] + 2.0 * np.pi * reach - around[-1] <= APART * tolerance_mm
-    if rulings < LEAST_RULINGS:
+    if rulings < 4:  # three always lie on a cylinder or cone
         return False
     if straight and len(points) >= 2 * rulings:
         return True
-    if len(points) < SPARE + (6 if int(row[0]) == CONE else 5):
-        return False
-    return _distinct(off @ axis, APART * tolerance_mm) >= LEAST_HEIGHTS
+    enough = len(points) >= SPARE + UNKNOWNS[int(row[KIND])]
+    return enough and _distinct(off @ axis, APART * tolerance_mm) >= 3
 
 
 def _profile_points(row: Floats, points: Floats, tolerance_mm: float) -> int:
     """Number of distinct points on the profile of a torus, by their angle about its tube."""
-    axis = row[OWN : OWN + 3]
-    off = points - row[PLACE : PLACE + 3]
-    along = off @ axis
-    across = np.linalg.norm(off - along[:, None] * axis, axis=1) - row[OWN + 3]
-    return _distinct(np.sort(np.arctan2(along, across)) * abs(row[OWN + 4]), APART * tolerance_mm)
+    along, across = _around(points - row[PLACE:OWN], row[OWN : OWN + 3])
+    angle = np.sort(np.arctan2(along, across - row[OWN + 3]))
+    return _distinct(angle * abs(row[OWN + 4]), APART * tolerance_mm)
 
 
 def _distinct(places: Floats, apart: float) -> int:
@@ -251,18 +212,12 @@ def _distinct(places: Floats, apart: float) -> int:
 
 # -- the form of least squares --------------------------------------------------------------------------------
 
-FIRST_STEPS = 8  # Steps after which a form that is still far from its points is given up
-LOST = 100.0  # Largest root mean square distance after that many steps, in tolerances
-
-MOST_STEPS = 40
-
 STEP = 1e-6  # of the difference quotients: a fraction of the points' extent, or rad
-
 UNKNOWNS = {SPHERE: 4, CYLINDER: 5, CONE: 6, TORUS: 7}
 
 
 def refined(row: Floats, points: Floats, tolerance: float) -> Floats:
-    """The form (SIZE,) of least squares from a first guess; one that stays far beyond the tolerance is given up early."""
+    """The form (SIZE,) of least squares from a first guess, in 40 steps; one that is still lost after 8 is given up."""
     size = float(np.ptp(points, axis=0).max())
     count = UNKNOWNS[int(row[KIND])]
     frame = _across(row[OWN : OWN + 3])
@@ -273,17 +228,14 @@ def refined(row: Floats, points: Floats, tolerance: float) -> Floats:
         found = signed_distances(rows, np.tile(points, (len(moves), 1)))[:, 0]
         return np.asarray(found.reshape(len(moves), -1) / size)
 
-    def off_at(move: Floats) -> Floats:
-        return np.asarray(off(move[None])[0])
-
     def slopes(move: Floats) -> Floats:
         here, *beside = off(move + tries)
         return np.column_stack([there - here for there in beside]) / STEP
 
     move = np.zeros(count)
-    for steps in (FIRST_STEPS, MOST_STEPS):
+    for steps in (8, 40):
         found = least_squares(
-            off_at,
+            lambda m: off(m[None])[0],
             move,
             slopes,
             method="lm",
@@ -293,7 +245,7 @@ def refined(row: Floats, points: Floats, tolerance: float) -> Floats:
             gtol=1e-15,
         )
         move = found.x
-        if not np.sqrt(np.mean(found.fun * found.fun)) * size <= LOST * tolerance:
+        if not np.sqrt(np.mean(found.fun * found.fun)) * size <= 100.0 * tolerance:
             break
     return np.asarray(_moved(row, frame, move[None], size)[0])
 
@@ -303,17 +255,17 @@ def _moved(row: Floats, frame: Floats, moves: Floats, size: float) -> Floats:
     kind = int(row[KIND])
     found = np.repeat(row[None], len(moves), axis=0)
     if kind == SPHERE:
-        found[:, PLACE : PLACE + 3] += size * moves[:, :3]
+        found[:, PLACE:OWN] += size * moves[:, :3]
         found[:, OWN] += size * moves[:, 3]
         return found
     axis = row[OWN : OWN + 3]
     turned = axis + moves[:, :2] @ frame
     found[:, OWN : OWN + 3] = turned / np.linalg.norm(turned, axis=1)[:, None]
-    found[:, PLACE : PLACE + 3] += size * (moves[:, 2:4] @ frame)
+    found[:, PLACE:OWN] += size * (moves[:, 2:4] @ frame)
     if kind == CYLINDER:
         found[:, OWN + 3] += size * moves[:, 4]
         return found
-    found[:, PLACE : PLACE + 3] += size * moves[:, 4:5] * axis
+    found[:, PLACE:OWN] += size * moves[:, 4:5] * axis
     if kind == CONE:
         angle = np.arctan2(row[OWN + 4], row[OWN + 3]) + moves[:, 5]
         found[:, OWN + 3], found[:, OWN + 4] = np.cos(angle), np.sin(angle)
