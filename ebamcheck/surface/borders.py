@@ -12,19 +12,9 @@ from ebamcheck.surface.planes import PlanarGroups
 
 LIKE = 3.0  # Strips of one tessellation differ by less than this factor in width; a flat side beside a rounding by more
 
-BEYOND_COSINE = 0.45
-"""Least cosine between two borders of a group for one to lie beyond the other: up to the angle of an equilateral triangle."""
-
-SUPPORTED = 5.0
-"""A turn this many times the greatest one onto a like strip beside it stands out, and is a bend."""
-
-INFLECTION = 0.5  # At an inflection a surface turns by less than this share of the turns around it
-
 HALF_TURN = (0.6, 1.6)
 """Range of the turn from a flat side onto the first strip of a rounding, over that strip's share of the next turn."""
 
-
-LEAST_SHARE = 0.8  # Width over that of the strip beside it below which the turns do not distinguish a flat side from another strip
 MOST_BORDERS = 4096  # A group with more borders is no strip; comparing each border with all others would take quadratic time
 
 
@@ -118,7 +108,8 @@ def part_bends(twin: Index, groups: PlanarGroups, borders: Borders) -> Bools:
     ahead, back = (_supports(twin, groups.label, borders, e.astype(np.int64)) for e in (g, h))
     support = np.maximum(ahead, back)
     turn = np.abs(borders.turn[h])
-    bends = (turn > SUPPORTED * support[:, 0]) & (turn > INFLECTION * support.max(axis=1, initial=0.0))
+    # A bend stands out by five times the turns on the same side. At an inflection a surface turns by less than half of those around.
+    bends = (turn > 5.0 * support[:, 0]) & (turn > 0.5 * support.max(axis=1, initial=0.0))
     bend = np.zeros(twin.size, np.bool_)
     bend[h[bends]] = bend[g[bends]] = True
     return bend
@@ -142,7 +133,7 @@ def _supports(twin: Index, label: Index, borders: Borders, asked: Ints) -> Float
             if twin[h] == NO_TWIN or label[twin[h] // 3] == from_group:
                 continue
             parallel = abs(along[g, 0] * along[h, 0] + along[g, 1] * along[h, 1] + along[g, 2] * along[h, 2])
-            if parallel < BEYOND_COSINE:
+            if parallel < 0.45:  # up to the angle of an equilateral triangle one border lies beyond the other
                 continue
             mine, theirs, before = width[h], width[twin[h]], width[twin[g]]
             if not (mine < LIKE * theirs and theirs < LIKE * mine):
@@ -173,7 +164,8 @@ def flat_against(twin: Index, label: Index, sizes: Index, borders: Borders, aske
         mine, theirs = width[h], width[twin[h]]
         group, from_group = label[twin[h] // 3], label[h // 3]
         flat[i] = mine >= LIKE * theirs
-        if flat[i] or sizes[group] < 2 or mine < LEAST_SHARE * theirs:
+        # A narrower group cannot be distinguished by the turns from another strip.
+        if flat[i] or sizes[group] < 2 or mine < 0.8 * theirs:
             continue
         for place in range(borders.starts[group], borders.starts[group + 1]):
             k = borders.half_edges[place]
@@ -184,11 +176,8 @@ def flat_against(twin: Index, label: Index, sizes: Index, borders: Borders, aske
             if parallel < 0.9 or beyond >= LIKE * near or near >= LIKE * beyond:
                 continue
             ratio = turns[h] * (near + beyond) / (turns[k] * theirs)
-            flat[i] = (
-                sizes[label[twin[k] // 3]] >= 2
-                and turns[k] * turns[h] > 0.0
-                and ratio * ratio < 1.0 + mine / theirs
-            )
+            flat[i] = turns[k] * turns[h] > 0.0 and ratio * ratio < 1.0 + mine / theirs
+            flat[i] = flat[i] and sizes[label[twin[k] // 3]] >= 2
             if not flat[i]:
                 break
     return flat

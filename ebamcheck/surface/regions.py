@@ -27,13 +27,6 @@ from ebamcheck.surface.planes import PlanarGroups, planar_groups, plane_toleranc
 FREEFORM, PLANE, STRIP = 0, 1, 2
 """Kinds of region: freely curved; flat; flat between straight rulings at which the surface continues to turn."""
 
-PROVEN = 1.5
-"""Strips with a sagitta up to this many times that of a certain rounding of the part are a rounding, too, and no polygon."""
-
-MUCH = 0.25
-"""Share of a part's surface from which its freely curved facets show how coarse the mesh is; the rounded rims of a polygon have
-less."""
-
 Kinds = NDArray[np.uint8]
 
 RULING_COSINE = 0.9
@@ -60,9 +53,8 @@ def find_regions(part: Part, twin: Index, settings: CurveSettings) -> Regions:
     tolerance_mm = plane_tolerance_mm(part)
     vertices, faces = part.vertices, part.faces
     groups = planar_groups(vertices, faces, twin, tolerance_mm)
-    borders = find_borders(
-        vertices, faces, twin, groups, float(np.cos(np.deg2rad(settings.crease_angle_deg)))
-    )
+    least_cosine = float(np.cos(np.deg2rad(settings.crease_angle_deg)))
+    borders = find_borders(vertices, faces, twin, groups, least_cosine)
     twin[part_bends(twin, groups, borders)] = NO_TWIN
     kind = _kinds(twin, groups, borders)
     angle, sagitta_mm = np.deg2rad(settings.polygon_angle_deg), settings.polygon_sagitta_mm
@@ -112,14 +104,16 @@ def _polygon_edges(
     rounding = np.zeros(len(kind), np.bool_)
     rounding[row[groups.label[onto_plane[_is_tangent(twin, groups.label, borders, onto_plane)] // 3]]] = True
     free = h[(kind[a] == FREEFORM) & (kind[b] == FREEFORM) & (h < twin[h])]
-    # What is curved both ways is no polygon.
-    much = free.size and groups.areas[kind == FREEFORM].sum() >= MUCH * groups.areas.sum()
+    # What is curved both ways is no polygon. It shows how coarse the mesh is if it is a quarter of the surface; the rounded rims of
+    # a polygon are less.
+    much = free.size and groups.areas[kind == FREEFORM].sum() >= 0.25 * groups.areas.sum()
     proven = float(np.median(sagitta[free])) if much else 0.0
     edge, round_ = h[strips], rounding[row[a[strips]]]
     proven = max(proven, float(sagitta[edge[round_]].max(initial=0.0)))
     edge = edge[~round_]
     turn = np.abs(borders.turn[edge])
-    allowed = np.maximum(sagitta_mm * (angle / np.maximum(turn, 1e-300)) ** 2, PROVEN * proven)
+    # Up to one and a half times the sagitta of a certain rounding strips are a rounding, too.
+    allowed = np.maximum(sagitta_mm * (angle / np.maximum(turn, 1e-300)) ** 2, 1.5 * proven)
     return np.asarray(edge[(turn > angle) & (sagitta[edge] > allowed)])
 
 
@@ -132,9 +126,8 @@ def _is_tangent(twin: Index, label: Index, borders: Borders, onto_plane: Ints) -
     like = (beyond < LIKE * mine) & (mine < LIKE * beyond)
     other = (twin[k] != NO_TWIN) & (label[twin[k] // 3] != label[twin[h] // 3])
     expected = borders.turn[k] * mine / np.maximum(mine + beyond, 1e-300)
-    asked = np.flatnonzero(other & like & (cosine >= RULING_COSINE) & (expected * borders.turn[h] > 0.0))[
-        ::-1
-    ]
+    alike = other & like & (cosine >= RULING_COSINE) & (expected * borders.turn[h] > 0.0)
+    asked = np.flatnonzero(alike)[::-1]
     found = np.zeros(onto_plane.size)
     found[place[asked]] = borders.turn[h[asked]] / expected[asked]
     return np.asarray((HALF_TURN[0] <= found) & (found <= HALF_TURN[1]))
