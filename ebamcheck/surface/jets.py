@@ -16,43 +16,33 @@ from ebamcheck.kernels import Bools, Floats, kernel
 from ebamcheck.mesh.topology import Index
 from ebamcheck.threads import run_blocks
 
-CUBIC, QUADRIC = 9, 5
-"""Coefficients of jets through the vertex: slopes, curvatures, and for the cubic the changes of these."""
-
+CUBIC, QUADRIC = (
+    9,
+    5,
+)  # Coefficients of jets through the vertex: slopes, curvatures, and for the cubic the changes of these
 TERMS = 10  # Coefficients of a cubic over the plane that need not go through the vertex: its height there, and those of a jet
 MOST_NEIGHBOURS = 48  # Most neighbours used of a vertex; two rings of a regular mesh hold 18
-SPARE = 3
-"""Neighbours beyond the number of coefficients: with fewer, a jet is little more than an interpolation."""
-
+SPARE = (
+    3  # Neighbours beyond the number of coefficients: with fewer, a jet is little more than an interpolation
+)
 LEAST_PIVOT = 1e-5  # Least pivot of the normal equations, scaled to a unit diagonal, for neighbours that determine a jet
-
-NEAREST = 0.3
-"""Distance, in extents of the first ring, within which the weight of a neighbour no longer grows: the rounding of its
-coordinates tilts the jet the more the nearer it is."""
-
-OFF_CENTRE = 0.5
-"""Largest distance of the first ring's mean from the vertex, in extents of the ring; beyond it the vertex is at a border."""
-
-AGREE = 0.35
-"""Largest angle between the normals of the two jets, over the spread of the facets' normals. If they differ by more, the surface
-is poorly determined, and the jet of the first ring is used."""
-
-LONGEST_RING = 3.0
-"""Ratio of the first ring's extents from which the second ring is not used: the cubic's error across tilts it along, which
-would lift long edges."""
-
 FLATTEST_RING = 1e-6  # Ratio of the first ring's extents below which its vertices lie on a line
-
-SECTORS_A_BLOCK = 512
 
 
 class Corners(NamedTuple):
-    """The corners of facets by sector, and the facets that jets may use."""
+    """The corners of facets by sector, a set of corners about one vertex, and the facets that jets may use."""
 
     sectors: Index  # (F, 3) sector of each corner
     starts: Index  # (S + 1,) first entry of each sector in corners
     corners: Index  # Corners 3 f + i by sector
     seen: Bools  # (F,) facets that jets may use: those outside of planes
+
+
+def corners_by(sectors: Index, seen: Bools) -> Corners:
+    """Sort the corners of facets (F, 3) by their sectors."""
+    flat = sectors.reshape(-1)
+    starts = np.concatenate([[0], np.cumsum(np.bincount(flat))]).astype(np.int32)
+    return Corners(sectors, starts, np.argsort(flat, kind="stable").astype(np.int32), seen)
 
 
 class Jets(NamedTuple):
@@ -69,7 +59,7 @@ def jets(vertices: Floats, faces: Index, corners: Corners, means: Floats, least_
     def work(first: int, last: int) -> None:
         _jets(vertices, faces, corners, means, least_cosines, first, last, found)
 
-    run_blocks(work, len(means), SECTORS_A_BLOCK)
+    run_blocks(work, len(means), 512)
     return found
 
 
@@ -98,7 +88,8 @@ def _jets(
             continue
         x = y = 0.0
         for i in range(count):
-            square = rows[i, 1] * rows[i, 1] + rows[i, 2] * rows[i, 2] + NEAREST * NEAREST
+            # Within 0.3 extents of the ring a weight grows no further: rounding tilts the jet the more the nearer a neighbour is.
+            square = rows[i, 1] * rows[i, 1] + rows[i, 2] * rows[i, 2] + 0.3 * 0.3
             # In the first ring alone each neighbour counts by its slope, whatever its distance.
             weights[0, i] = 1.0 / max((rows[i, 1] * scales[0]) ** 2 + (rows[i, 2] * scales[1]) ** 2, 1e-300)
             # Else by one over its squared distance twice: the second ring helps and the first decides.
@@ -106,11 +97,12 @@ def _jets(
             if i < near:
                 x += rows[i, 1] / near
                 y += rows[i, 2] / near
-        # A cubic is not drawn on beyond what it knows: the first ring has to lie about the vertex, and not to one side.
-        centred = x * x + y * y < OFF_CENTRE * OFF_CENTRE
+        # A cubic is not drawn on beyond what it knows: the first ring has to lie about the vertex, and not to one side, as at a border.
+        centred = x * x + y * y < 0.5 * 0.5
         told = False
         for ring in range(2):
-            if ring == 1 and told and max(scales[0], scales[1]) > LONGEST_RING * min(scales[0], scales[1]):
+            # The error of a cubic across a long ring tilts it along the ring, which would lift long edges.
+            if ring == 1 and told and max(scales[0], scales[1]) > 3.0 * min(scales[0], scales[1]):
                 break
             used = count if ring == 1 else near
             size = CUBIC if ring == 1 and centred else QUADRIC
@@ -124,8 +116,9 @@ def _jets(
                 normal[i] = (frame[0, i] - a * frame[1, i] - b * frame[2, i]) / length
             if ring == 1 or near > QUADRIC:
                 found.noise[s] = _residual(rows, used, size, weights[1], A)
+            # Where both jets differ by more the surface is poorly determined, and the first ring decides.
             spread = np.arccos(min(max(least_cosines[s], -1.0), 1.0))
-            if not told or np.sum(normal * found.normals[s]) >= np.cos(AGREE * spread):
+            if not told or np.sum(normal * found.normals[s]) >= np.cos(0.35 * spread):
                 found.normals[s] = normal
             told = True
 
@@ -271,21 +264,25 @@ def _solved(rows: Floats, count: int, size: int, weights: Floats, least_pivot: f
 
 # -- Predicted places: where the neighbours of a vertex put it, by a cubic fitted to them without it. -----------
 
-LEAST_TERM_PIVOT = 1e-6
-"""Least pivot of the normal equations, scaled to a unit diagonal, for neighbours that determine such a cubic."""
-
-SOFTENING = 0.3
-"""Squared distance, in units of the first ring, within which neighbours have about the same weight."""
+LEAST_TERM_PIVOT = 1e-6  # Least pivot, as above, for neighbours that determine such a cubic
 
 
 @kernel
 def predicted(
-    vertices: Floats, faces: Index, corners: Corners, asked: Bools, first: int, last: int, found: Floats
+    vertices: Floats,
+    faces: Index,
+    areas: Floats,
+    corners: Corners,
+    asked: Bools,
+    first: int,
+    last: int,
+    found: Floats,
 ) -> None:
     """Ask the neighbours of some fans from `first` on, and write what is found of each (S, 2); NaN stays where nothing is told.
 
     First by how much more a vertex would stand beyond the surface than its neighbours do, by the weights that the cubic
     gives them, if each stood there by the mean sagitta of its own edges; then by how much it does. Both in mean sagittas.
+    `areas` (F, 3) are the normals of facets times their areas, in any unit.
     """
     around, of_fan = np.empty(MOST_NEIGHBOURS, np.int32), np.empty(MOST_NEIGHBOURS, np.int32)
     rows, weights = np.empty((MOST_NEIGHBOURS, TERMS + 1)), np.empty(MOST_NEIGHBOURS)
@@ -296,27 +293,21 @@ def predicted(
         near, count = _neighbours(faces, corners, s, around, of_fan)
         if count < TERMS + SPARE:
             continue
-        n = frame[0]
-        n[:] = 0.0
+        frame[0] = 0.0
         for place in range(corners.starts[s], corners.starts[s + 1]):
-            f = corners.corners[place] // 3
-            for i in range(3):
-                j, k = (i + 1) % 3, (i + 2) % 3
-                n[i] += (vertices[faces[f, 1], j] - vertices[faces[f, 0], j]) * (
-                    vertices[faces[f, 2], k] - vertices[faces[f, 0], k]
-                ) - (vertices[faces[f, 1], k] - vertices[faces[f, 0], k]) * (
-                    vertices[faces[f, 2], j] - vertices[faces[f, 0], j]
-                )
-        length = np.sqrt(np.sum(n * n))
+            frame[0] += areas[corners.corners[place] // 3]
+        length = np.sqrt(np.sum(frame[0] * frame[0]))
         if length == 0.0:
             continue
-        n /= length
+        frame[0] /= length
         corner = corners.corners[corners.starts[s]]
         own = faces[corner // 3, corner % 3]
         if not _set_rows(vertices, own, around, near, count, frame, scales, rows):
             continue
         for k in range(count):
-            weights[k] = 1.0 / (rows[k, 1] ** 2 + rows[k, 2] ** 2 + SOFTENING) ** 2
+            weights[k] = (
+                1.0 / (rows[k, 1] ** 2 + rows[k, 2] ** 2 + 0.3) ** 2
+            )  # about the same within half an extent
         if not _solved(rows, count, min(count, TERMS), weights, LEAST_TERM_PIVOT, A):
             continue
         mine = expected = sizes = 0.0
