@@ -42,9 +42,9 @@ from ebamcheck.surface.exact_forms import (
     TORUS,
     signed_distance,
     signed_distances,
+    told_forms,
 )
 from ebamcheck.surface.exact_surfaces import ExactSurfaces
-from ebamcheck.surface.form_fits import told_forms
 from ebamcheck.surface.part_surface import surface_of
 
 SETTINGS = CurveSettings()

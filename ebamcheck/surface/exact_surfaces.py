@@ -14,11 +14,20 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from ebamcheck.geometry.raster import each_of
-from ebamcheck.kernels import Bools, Floats
+from ebamcheck.kernels import Bools, Floats, kernel
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.topology import NO_TWIN, Index, split_corners
-from ebamcheck.surface.exact_forms import FLAT, KIND, OWN, PLACE, SIDE, SIZE, Ground, grown, signed_distances
-from ebamcheck.surface.form_fits import told_forms
+from ebamcheck.surface.exact_forms import (
+    FLAT,
+    KIND,
+    OWN,
+    PLACE,
+    SIDE,
+    SIZE,
+    signed_distance,
+    signed_distances,
+    told_forms,
+)
 from ebamcheck.surface.regions import PLANE, STRIP, Regions
 
 NO_SURFACE = -1
@@ -56,7 +65,7 @@ class _Search:
     def __init__(self, part: Part, twin: Index, across: Index, regions: Regions, largest_mm: float) -> None:
         groups, vertices, faces = regions.groups, part.vertices, part.faces
         told = told_corners(vertices, faces, groups.label, split_corners(faces, twin), regions.tolerance_mm)
-        self.ground = Ground(
+        self.ground = _Ground(
             vertices, faces, twin, groups.label, groups.starts, groups.facets, groups.normals, told
         )
         self.across, self.kind, self.areas = across, regions.kind, groups.areas
@@ -155,13 +164,15 @@ class _Search:
         sagittas = np.empty(len(self.taken))
         before = 0
         for _ in range(6):  # it usually stops growing after two or three
-            count = grown(self.ground, groups, self.taken, row, self.tolerance_mm, self.largest_mm, sagittas)
+            count = _grown_from(
+                self.ground, groups, self.taken, row, self.tolerance_mm, self.largest_mm, sagittas
+            )
             if count < 2:
                 return None
             largest = _without_flat_sides(sagittas[sagittas >= 0.0])
             if np.isfinite(largest):
                 seeds = groups[sagittas[groups] >= 0.0]
-                grown(self.ground, seeds, self.taken, row, self.tolerance_mm, largest, sagittas)
+                _grown_from(self.ground, seeds, self.taken, row, self.tolerance_mm, largest, sagittas)
             groups = np.flatnonzero(sagittas >= 0.0).astype(np.int32)
             if len(groups) <= before:
                 return row, groups, float(sagittas.max())
@@ -200,6 +211,90 @@ def _without_flat_sides(sagittas: Floats) -> float:
     upper = np.sort(sagittas)[len(sagittas) // 2 :]
     leaps = np.flatnonzero(upper[1:] > GAP * np.maximum(upper[:-1], 1e-9))
     return float(1.01 * upper[leaps[0]]) if leaps.size else np.inf
+
+
+# -- growing: from some planar groups of facets on a surface to all connected groups that lie on it ---------------
+
+
+class _Ground(NamedTuple):
+    """A mesh and its planar groups, in the form that growth reads."""
+
+    vertices: Floats
+    faces: Index
+    twin: Index  # (3 F,) opposite half-edge where the surface continues smoothly; else -1
+    label: Index  # (F,) group of each facet
+    starts: Index  # (G + 1,) first facet of each group in facets
+    facets: Index
+    normals: Floats  # (G, 3) unit normals
+    told: Bools  # (F, 3) corners that lie on the surface for certain (exact_surfaces)
+
+
+@kernel
+def _grown_from(
+    ground: _Ground,
+    seeds: Index,
+    taken: Bools,
+    row: Floats,
+    tolerance: float,
+    largest: float,
+    sagittas: Floats,
+) -> int:
+    """Count the groups on the surface `row` that are reached from seed groups over groups on it.
+
+    Groups that are `taken` (G,) belong to other surfaces. Told corners may lie off the surface by `tolerance`, and facets stand
+    off it by `largest`, mm; `sagittas` (G,) takes how far each group that is found stands off, -1 for others.
+    """
+    sagittas[:] = -1.0
+    stack = np.empty(len(taken), np.int32)
+    seen = taken.copy()
+    depth = count = 0
+    for group in seeds:
+        if not seen[group]:
+            seen[group] = True
+            stack[depth] = group
+            depth += 1
+    place = np.empty(3)
+    while depth > 0:
+        depth -= 1
+        group = stack[depth]
+        told = 0
+        off = 0.0
+        first, last = ground.starts[group], ground.starts[group + 1]
+        for at in range(first, last):
+            f = ground.facets[at]
+            # Of each facet the corners, the middles of its edges, and its own.
+            for k in range(7):
+                a, b = ground.faces[f, k % 3], ground.faces[f, (k + 1) % 3]
+                for axis in range(3):
+                    p, q = ground.vertices[a, axis], ground.vertices[b, axis]
+                    place[axis] = p if k < 3 else 0.5 * (p + q)
+                    if k == 6:
+                        place[axis] = (p + q + ground.vertices[ground.faces[f, 2], axis]) / 3.0
+                found = signed_distance(row, place[0], place[1], place[2])
+                away = abs(found[0])
+                if k < 3 and ground.told[f, k]:
+                    told += 1
+                    away = away if away <= tolerance else np.inf
+                elif k == 6:
+                    n = ground.normals[group]
+                    facing = (found[1] * n[0] + found[2] * n[1] + found[3] * n[2]) * row[SIDE]
+                    away = away if facing >= 0.7 else np.inf  # some 45 degrees, about the crease angle
+                off = max(off, away)
+            if not off <= largest:
+                break
+        # Three corners of a group must be told, of a single facet two.
+        if not off <= largest or off == np.inf or told < (3 if last - first > 1 else 2):
+            continue
+        sagittas[group] = off
+        count += 1
+        for at in range(first, last):
+            for k in range(3):
+                h = ground.twin[3 * ground.facets[at] + k]
+                if h != NO_TWIN and not seen[ground.label[h // 3]]:
+                    seen[ground.label[h // 3]] = True
+                    stack[depth] = ground.label[h // 3]
+                    depth += 1
+    return count
 
 
 # -- Told corners: vertices that lie on the surface that a mesh approximates, as far as its facets can tell ----

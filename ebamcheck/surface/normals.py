@@ -12,9 +12,8 @@ import numpy as np
 from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.topology import NO_TWIN, Index, split_corners
-from ebamcheck.surface.borders import LIKE, Borders
 from ebamcheck.surface.jets import corners_by, jets
-from ebamcheck.surface.regions import FREEFORM, PLANE, STRIP, Regions
+from ebamcheck.surface.regions import FREEFORM, LIKE, PLANE, STRIP, Borders, Regions
 
 
 class RegionNormals(NamedTuple):
