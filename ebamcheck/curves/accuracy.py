@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any, Literal
 
 import numpy as np
@@ -152,9 +153,8 @@ def _totals(table: pd.DataFrame, kind: str, weight: str) -> dict[str, float]:
 
 def _check(measured: Layers | Curves, reference: Layers | Curves, rays: int, samples: int) -> None:
     if len(measured) != len(reference):
-        raise SettingsError(
-            f"{len(measured)} layers cannot be measured against {len(reference)}: cut both at the same heights"
-        )
+        counts = f"{len(measured)} layers cannot be measured against {len(reference)}"
+        raise SettingsError(f"{counts}: cut both at the same heights")
     apart = np.abs(measured.heights - reference.heights)
     if len(measured) and apart.max() > SAME_HEIGHT_MM:
         k = int(np.argmax(apart))
@@ -177,10 +177,8 @@ def _orientation(stack: Layers | Curves) -> Floats:
     """Sign of the area of each ring; 0 for open paths."""
     if isinstance(stack, Layers):
         return np.sign(stack.ring_areas)
-    ends = SampledRings(
-        stack.control, stack.control_starts[stack.ring_starts]
-    )  # the control polygon turns the way its curve does
-    return np.sign(rings.signed_areas(ends.points, ends.ring_starts, stack.closed))
+    # The control polygon turns the way its curve does.
+    return np.sign(rings.signed_areas(stack.control, stack.control_starts[stack.ring_starts], stack.closed))
 
 
 def _block_errors(
@@ -191,7 +189,7 @@ def _block_errors(
     a, b = _polylines(ours), _polylines(theirs)
     boxes, others = rings.bounds(a.points, a.ring_starts), rings.bounds(b.points, b.ring_starts)
     sign = _orientation(ours)
-    pairs = _pairs(boxes, others, sign, _orientation(theirs), ours.layer_starts, theirs.layer_starts)
+    pairs = _pairs(boxes, others, (sign, _orientation(theirs)), (ours.layer_starts, theirs.layer_starts))
     errors = np.full((len(pairs), 2, len(MEASURES)), np.nan)
     for k, (i, j) in enumerate(pairs.tolist()):
         ring = a.points[a.ring_starts[i] : a.ring_starts[i + 1]]
@@ -203,14 +201,11 @@ def _block_errors(
     return pairs + np.array([measured.layer_starts[start], reference.layer_starts[start]]), errors
 
 
-def _pairs(
-    boxes: Floats, others: Floats, sign: Floats, other_sign: Floats, layer_starts: Ints, other_starts: Ints
-) -> Ints:
+def _pairs(boxes: Floats, others: Floats, signs: Sequence[Floats], starts: Sequence[Ints]) -> Ints:
     """Pairs (n, 2) of closed rings of one direction whose boxes overlap, those with the nearest boxes first."""
     found: list[tuple[int, int]] = []
-    for a, b, c, d in zip(
-        layer_starts[:-1], layer_starts[1:], other_starts[:-1], other_starts[1:], strict=True
-    ):
+    sign, other_sign = signs
+    for (a, b), (c, d) in zip(*(np.column_stack([s[:-1], s[1:]]) for s in starts), strict=True):
         p, q = boxes[a:b, None], others[None, c:d]
         fits = (sign[a:b, None] != 0.0) & (sign[a:b, None] == other_sign[None, c:d])
         fits &= ~((p[..., :2] > q[..., 2:]) | (q[..., :2] > p[..., 2:])).any(axis=2)

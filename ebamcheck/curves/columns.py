@@ -99,9 +99,7 @@ class Evidence:
     cause: NDArray[np.uint8]  # why the ring by the requested method was not accepted, of gate.CAUSES
     method: NDArray[np.uint8]  # 0 the requested method, 1 the polyline of the contour
     accepted: Bools  # whether the ring by the method that it has now is accepted
-    value_mm: (
-        Floats  # distance, by the requested method, where it exceeds its limit most or comes nearest to it
-    )
+    value_mm: Floats  # distance, by the requested method, where it exceeds its limit most or is nearest to it
     limit_mm: Floats  # the limit there
     at: Floats  # (R, 2) that place, mm; NaN where there is none
     mean_limit_mm: Floats  # mean limit along the ring
@@ -316,9 +314,8 @@ class Curves(LayerColumns[CurveLayer]):
 
     def bezier_spans(self) -> BezierSpans:
         """Bezier form of every knot span, line segment and arc, in the order of travel; arcs in short spans."""
-        points, intervals, piece = bezier.span_points(
-            self.kind, self.control, self.control_starts, self.knots, self.knot_starts
-        )
+        columns = self.kind, self.control, self.control_starts, self.knots, self.knot_starts
+        points, intervals, piece = bezier.span_points(*columns)
         ring = self.piece_ring[piece]
         return BezierSpans(points, intervals, self.kind[piece], piece, ring, self.ring_layer[ring])
 
@@ -430,9 +427,8 @@ def sampled_along(spans: BezierSpans, closed: Bools, step_mm: float, tolerance_m
         chords = bezier.chords_for_tolerance(spans.points, spans.kind, tolerance_mm)
     total = int(chords.sum())
     if total > MOST_SAMPLES:
-        raise SettingsError(
-            f"sampling would give {total} points (limit {MOST_SAMPLES}): give a larger step or tolerance"
-        )
+        points_of = f"sampling would give {total} points (limit {MOST_SAMPLES})"
+        raise SettingsError(f"{points_of}: give a larger step or tolerance")
     last = np.flatnonzero(np.diff(spans.ring, append=-1) != 0)
     ends = last[~closed[spans.ring[last]]]  # an open path needs its end point too
     sizes = chords.copy()

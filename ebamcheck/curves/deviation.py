@@ -117,10 +117,8 @@ def fit_deviation(curves: Curves, layers: Layers) -> pd.DataFrame:
     ``kept_points_mm`` is the greatest distance of a point that the cleaning kept from the curve (rounding, for a fit that
     interpolates), ``points_mm`` of any point of the contour, ``bulge_mm`` of the curve from the contour's segments; ``blocks``
     counts NC blocks. Raises :class:`SettingsError` if the layers have other heights or rings."""
-    same = np.array_equal(curves.heights, layers.heights) and np.array_equal(
-        curves.layer_starts, layers.layer_starts
-    )
-    if not same or not np.array_equal(curves.closed, layers.closed):
+    columns = ("heights", "layer_starts", "closed")
+    if not all(np.array_equal(getattr(curves, name), getattr(layers, name)) for name in columns):
         raise SettingsError(
             f"curves of {len(curves)} layers and {curves.closed.size} rings were not fitted to these "
             f"{len(layers)} layers and {layers.closed.size} rings: give the layers of the fit"

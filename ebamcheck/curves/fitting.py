@@ -155,9 +155,8 @@ def _part_of(layers: Layers, part: Part | None) -> Part | None:
     if part is None:
         return layers.mesh
     if layers.part and layers.part != part.sha256:
-        raise SettingsError(
-            f"layers were cut from another mesh than {part.name!r}: give the part that was sliced"
-        )
+        other = f"layers were cut from another mesh than {part.name!r}"
+        raise SettingsError(f"{other}: give the part that was sliced")
     return part
 
 

@@ -232,9 +232,8 @@ def stack_evidence(curves: Curves, layers: Layers, part: Part, found: Evidence) 
     of_ring = curves.ring_layer
     length = np.bincount(of_ring, layers.ring_lengths, minlength=count)
     weight = np.where(length > 0.0, length, 1.0)
-    gain = np.bincount(
-        of_ring, _ring_areas(curves, curves.bezier_spans()) - layers.ring_areas, minlength=count
-    )
+    more = _ring_areas(curves, curves.bezier_spans()) - layers.ring_areas
+    gain = np.bincount(of_ring, more, minlength=count)
     may = np.bincount(of_ring, found.mean_limit_mm * layers.ring_lengths, minlength=count) / weight
     lift = gain / weight
     jumps, volumes = np.zeros(count), np.zeros(count)

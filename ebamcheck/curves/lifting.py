@@ -36,11 +36,9 @@ six: of 1,394 rings of 255 meshes of known parts, all that are farther off than 
 class Limits(NamedTuple):
     """How far curves may leave contours."""
 
-    of_point: (
-        Floats  # (N,) limit at each point, mm; along the segment after it the greater of those at both ends
-    )
+    of_point: Floats  # (N,) limit at each point, mm; along the segment after it the greater of both ends
     plane: (
-        Bools  # (N,) whether the segment after the point lies in a plane of the part, which it does not leave
+        Bools  # (N,) whether the segment after the point lies in a plane of the part, and does not leave it
     )
 
 
@@ -130,9 +128,8 @@ def _sure_planes(surface: PartSurface) -> Bools:
     label, forms = surface.exact
     plane = (surface.kind == PLANE) & ~np.append(forms[:, KIND] != FLAT, False)[label]
     if not (surface.kind == PLANE).all():
-        plane &= (
-            np.bincount(surface.region, areas)[surface.region] > 4.0 * areas[surface.kind != PLANE].mean()
-        )
+        least_mm2 = 4.0 * areas[surface.kind != PLANE].mean()
+        plane &= np.bincount(surface.region, areas)[surface.region] > least_mm2
     return np.asarray(plane)
 
 
@@ -168,9 +165,8 @@ class _Edges:
         # Bends of more than 5 degrees to opposite sides show a flat side between curved ones.
         straight |= inflected & (lesser >= np.sin(np.deg2rad(5.0)) ** 2 * _dot(self.chord, self.chord))
         evened = [b * np.sqrt(lesser / np.maximum(_dot(b, b), 1e-300))[:, None] for b in (low, high)]
-        low, high = (
-            np.where(self.same_strip[:, None], *ways) for ways in zip((low, high), evened, strict=True)
-        )
+        strip = self.same_strip[:, None]
+        low, high = np.where(strip, low, evened[0]), np.where(strip, high, evened[1])
         low[straight] = high[straight] = 0.0
         return low, high
 
@@ -180,9 +176,7 @@ class _Edges:
         along = np.cross(normal, other)
         square = _dot(along, along)
         crease = along * (_dot(self.chord, along) / np.maximum(square, 1e-300))[:, None] - self.chord
-        crease[square < 0.01] = (
-            0.0  # below a sine of 0.1 between both sides the direction of a crease is unknown
-        )
+        crease[square < 0.01] = 0.0  # below a sine of 0.1 between both sides its direction is unknown
         return np.where(self.smooth[:, None], across, crease)
 
 

@@ -38,9 +38,7 @@ class Sides(NamedTuple):
     plane_before: Index  # (N,) plane in which the segment lies; NO_PLANE for none
     plane_after: Index
     share: Floats  # (N,) share, 0 .. 1, of lift and bend that is made at the point; 0 where the normals are noise
-    plausible: (
-        Floats  # (N,) plausible height of the surface over the facets, over the sine of their slope, mm
-    )
+    plausible: Floats  # (N,) plausible height of the surface over the facets, over their sine of slope, mm
     form_before: Index  # (N,) exact surface whose section the segment follows; NO_FORM for none
     form_after: Index
 
@@ -51,9 +49,8 @@ def as_they_are(points: Floats) -> Sides:
     unknown, none = np.full((count, 2), np.nan), np.full(count, -1, np.int32)
     no, yes = np.zeros(count, np.bool_), np.ones(count, np.bool_)
     ones, infinite = np.ones(count), np.full(count, np.inf)
-    return Sides(
-        points, unknown, unknown.copy(), no, yes, none, none.copy(), ones, infinite, none.copy(), none.copy()
-    )
+    planes, forms = (none, none.copy()), (none.copy(), none.copy())
+    return Sides(points, unknown, unknown.copy(), no, yes, *planes, ones, infinite, *forms)
 
 
 class OrientedContours(NamedTuple):
@@ -91,9 +88,8 @@ def orient(
     bends.keep_plausible()
     bends.mark_straight(settings.straight_run_mm)
     share = sides.share[bends.rows]
-    bends.straighten(
-        (share == 0.0) & (share[bends.next] == 0.0)
-    )  # a curve through noise is noisier than chords
+    # A curve through noise is noisier than its chords.
+    bends.straighten((share == 0.0) & (share[bends.next] == 0.0))
     bends.straighten(bends.bulges() > largest_bulge_mm)
     few = sizes[ring] < 3
     corner, straight = bends.corner | few, bends.straight | few

@@ -24,9 +24,7 @@ LARGEST_SWEEP_RAD = np.deg2rad(170.0)
 LARGEST_RADIUS_MM = 10_000.0
 """Largest radius of an arc: larger ones are nearly straight, with an ill-determined centre, and are written as cubics."""
 
-NEWTON_STEPS = (
-    2  # Rounds in which the samples' parameters move to their foot points and the cubic is fitted again
-)
+NEWTON_STEPS = 2  # Rounds in which samples move to their foot points and the cubic is fitted again
 SAMPLES_A_SEGMENT = 4  # Places along each segment of the contour at which the reduced curve is checked
 
 
@@ -68,9 +66,8 @@ def reduced_segments(segments: Segments, tolerance_mm: float) -> Segments:
     sizes = np.where(kind == LINE, 1, 0)
     sizes[curved[first]] = counts
     source, place = each_of(sizes)
-    from_row = np.arange(
-        len(kind)
-    )  # the row of a line, or the first of what a chain became, in both together
+    # The row of a line, or the first of what a chain became, in both together.
+    from_row = np.arange(len(kind))
     from_row[curved[first]] = len(kind) + joints[:-1]
     row = from_row[source] + place
     arcs = np.concatenate([np.zeros(len(kind), np.bool_), arc])[row]
@@ -134,9 +131,8 @@ def _reduce(
                 back = path.directions[j]
                 if not _fit_cubic(path, direction, i, j, allowed[c], B):
                     # A single segment is what it is, from the direction in which the last one ended.
-                    before = np.arctan2(
-                        direction[0] * y - direction[1] * x, direction[0] * x + direction[1] * y
-                    )
+                    u, v = direction
+                    before = np.arctan2(u * y - v * x, u * x + v * y)
                     after = np.arctan2(x * back[1] - y * back[0], x * back[0] + y * back[1])
                     half = min(0.5 * (abs(before) + abs(after)), 0.5 * np.pi)
                     leg = 2.0 / (3.0 * (1.0 + np.cos(half)))
@@ -184,9 +180,8 @@ def _fit_arc(path: Path, direction: Floats, i: int, j: int, tolerance: float, B:
     half = np.arctan2(direction[0] * y - direction[1] * x, direction[0] * x + direction[1] * y)
     if abs(half) > 0.5 * LARGEST_SWEEP_RAD or chord >= 2.0 * LARGEST_RADIUS_MM * np.sin(abs(half)):
         return False
-    if (
-        abs(path.turns[j] - path.turns[i] - 2.0 * half) > 2e-3
-    ):  # the next segment starts in the arc's direction
+    # The next segment starts in the arc's direction.
+    if abs(path.turns[j] - path.turns[i] - 2.0 * half) > 2e-3:
         return False
     rise = 0.5 * chord * np.tan(0.5 * half)
     B[0], B[3] = p, q
@@ -286,11 +281,8 @@ def _foot(B: Floats, point: Floats, t: float) -> float:
     dot = square = 0.0
     for axis in range(2):
         at = s * s * s * B[0, axis] + 3.0 * s * t * (s * B[1, axis] + t * B[2, axis]) + t * t * t * B[3, axis]
-        d = 3.0 * (
-            s * s * (B[1, axis] - B[0, axis])
-            + 2.0 * s * t * (B[2, axis] - B[1, axis])
-            + t * t * (B[3, axis] - B[2, axis])
-        )
+        d = s * s * (B[1, axis] - B[0, axis]) + 2.0 * s * t * (B[2, axis] - B[1, axis])
+        d = 3.0 * (d + t * t * (B[3, axis] - B[2, axis]))
         dot += (at - point[axis]) * d
         square += d * d
     if square == 0.0:

@@ -12,9 +12,7 @@ from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.surface.exact_forms import FLAT, KIND, SIDE, signed_distances
 from ebamcheck.surface.exact_surfaces import ExactSurfaces
 
-MOST_STEPS = (
-    40  # Most Newton steps; each doubles the digits, so a few are enough unless the surface is nearly level
-)
+MOST_STEPS = 40  # Most Newton steps; each doubles the digits, so a few are enough on all but level surfaces
 CLOSE_MM = 1e-10  # A point this near to a surface lies on it
 
 LEAST_SLOPE = 0.02
@@ -154,10 +152,8 @@ def refined(
     kept: dict[int, tuple[Ints, Floats, Floats]] = {}
     count = 1
     while pending.size:
-        j = following[pending]
-        known, followed, *between = _divided(
-            forms[form[pending]], sides, pending, j, heights[ring[pending]], count
-        )
+        rows, z = forms[form[pending]], heights[ring[pending]]
+        known, followed, *between = _divided(rows, sides, pending, following[pending], z, count)
         good = known & (followed | (count == MOST_PARTS))
         parts[pending[good]] = count
         kept[count] = pending[good], between[0][good], between[1][good]

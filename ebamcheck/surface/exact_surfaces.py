@@ -48,15 +48,13 @@ class ExactSurfaces(NamedTuple):
     rows: Floats  # (S, SIZE) surfaces, in the layout of exact_forms
 
 
-def exact_surfaces(
-    part: Part, twin: Index, across: Index, regions: Regions, typical_mm: float
-) -> ExactSurfaces:
+def exact_surfaces(part: Part, twin: Index, across: Index, regions: Regions, typical: float) -> ExactSurfaces:
     """Find the exact surfaces of a mesh, and the planes beside them.
 
-    `twin` (3 F,) is the half-edge across each, -1 at creases; `across` the same at creases, too; `typical_mm` the median sagitta of
-    the mesh, from its dihedral angles.
+    `twin` (3 F,) is the half-edge across each, -1 at creases; `across` the same at creases, too; `typical` the median sagitta of
+    the mesh, from its dihedral angles, mm.
     """
-    return _Search(part, twin, across, regions, MOST_OF_TYPICAL * typical_mm).run()
+    return _Search(part, twin, across, regions, MOST_OF_TYPICAL * typical).run()
 
 
 class _Search:
@@ -65,9 +63,8 @@ class _Search:
     def __init__(self, part: Part, twin: Index, across: Index, regions: Regions, largest_mm: float) -> None:
         groups, vertices, faces = regions.groups, part.vertices, part.faces
         told = told_corners(vertices, faces, groups.label, split_corners(faces, twin), regions.tolerance_mm)
-        self.ground = _Ground(
-            vertices, faces, twin, groups.label, groups.starts, groups.facets, groups.normals, told
-        )
+        of_groups = groups.label, groups.starts, groups.facets, groups.normals
+        self.ground = _Ground(vertices, faces, twin, *of_groups, told)
         self.across, self.kind, self.areas = across, regions.kind, groups.areas
         # Errors of a fitted position and size add to those of the vertices.
         self.tolerance_mm, self.largest_mm = 3.0 * regions.tolerance_mm, largest_mm
@@ -164,10 +161,8 @@ class _Search:
         sagittas = np.empty(len(self.taken))
         before = 0
         for _ in range(6):  # it usually stops growing after two or three
-            count = _grown_from(
-                self.ground, groups, self.taken, row, self.tolerance_mm, self.largest_mm, sagittas
-            )
-            if count < 2:
+            tolerance_mm, largest_mm = self.tolerance_mm, self.largest_mm
+            if _grown_from(self.ground, groups, self.taken, row, tolerance_mm, largest_mm, sagittas) < 2:
                 return None
             largest = _without_flat_sides(sagittas[sagittas >= 0.0])
             if np.isfinite(largest):
@@ -193,9 +188,8 @@ class _Search:
             return 0
         facet, surface = half // 3, label[self.across[half] // 3]
         corners = ground.vertices[ground.faces[facet]]
-        places = np.concatenate(
-            [corners, 0.5 * (corners + np.roll(corners, -1, axis=1)), corners.mean(axis=1)[:, None]], axis=1
-        )
+        middles = 0.5 * (corners + np.roll(corners, -1, axis=1))
+        places = np.concatenate([corners, middles, self.middles[facet][:, None]], axis=1)
         off = signed_distances(np.repeat(rows[surface], 7, axis=0), places.reshape(-1, 3))[:, 0]
         largest = np.array(self.sagittas)[surface][:, None]
         most = np.where(ground.told[facet], self.tolerance_mm, largest)

@@ -22,9 +22,7 @@ CUBIC, QUADRIC = (
 )  # Coefficients of jets through the vertex: slopes, curvatures, and for the cubic the changes of these
 TERMS = 10  # Coefficients of a cubic over the plane that need not go through the vertex: its height there, and those of a jet
 MOST_NEIGHBOURS = 48  # Most neighbours used of a vertex; two rings of a regular mesh hold 18
-SPARE = (
-    3  # Neighbours beyond the number of coefficients: with fewer, a jet is little more than an interpolation
-)
+SPARE = 3  # Neighbours beyond the number of coefficients: with fewer, a jet is merely an interpolation
 LEAST_PIVOT = 1e-5  # Least pivot of the normal equations, scaled to a unit diagonal, for neighbours that determine a jet
 FLATTEST_RING = 1e-6  # Ratio of the first ring's extents below which its vertices lie on a line
 
@@ -305,9 +303,8 @@ def predicted(
         if not _set_rows(vertices, own, around, near, count, frame, scales, rows):
             continue
         for k in range(count):
-            weights[k] = (
-                1.0 / (rows[k, 1] ** 2 + rows[k, 2] ** 2 + 0.3) ** 2
-            )  # about the same within half an extent
+            # About the same within half an extent.
+            weights[k] = 1.0 / (rows[k, 1] ** 2 + rows[k, 2] ** 2 + 0.3) ** 2
         if not _solved(rows, count, min(count, TERMS), weights, LEAST_TERM_PIVOT, A):
             continue
         mine = expected = sizes = 0.0

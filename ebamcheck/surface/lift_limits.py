@@ -43,9 +43,11 @@ def lift_limits(surface: PartSurface, flat_mm: float) -> LiftLimits:
     mean, largest = surface.sagittas.mean, surface.sagittas.largest
     # By the end with the smaller of the largest sagittas, and by that with the greater mean, which flat neighbours lower. Twice the
     # median is plausible whatever lies near, as slivers have no sagitta of their own; four times at most.
-    near = np.minimum(
-        4.0 * np.minimum(largest[tail], largest[head]), 6.0 * np.maximum(mean[tail], mean[head])
+    least_of_largest, greater_mean = (
+        np.minimum(largest[tail], largest[head]),
+        np.maximum(mean[tail], mean[head]),
     )
+    near = np.minimum(4.0 * least_of_largest, 6.0 * greater_mean)
     height = np.minimum(np.maximum(near, 2.0 * typical), 4.0 * typical)
     acts = np.where(height == near, NEAR, OF_MESH).astype(np.uint8)
     edges = _bent_edges(surface)

@@ -111,9 +111,8 @@ def _polygon_edges(
     """Half-edges between strips that are the sides of a polygon: they turn far, and nothing speaks for a rounding."""
     h = borders.half_edges[twin[borders.half_edges] != NO_TWIN].astype(np.int64)
     a, b = groups.label[h // 3], groups.label[twin[h] // 3]
-    sagitta = (
-        np.abs(borders.turn) * (borders.width + borders.width[twin]) / 16.0
-    )  # of an arc over both strips
+    # Of an arc over both strips.
+    sagitta = np.abs(borders.turn) * (borders.width + borders.width[twin]) / 16.0
     strips = (kind[a] == STRIP) & (kind[b] == STRIP)
     links = coo_matrix((np.ones(strips.sum()), (a[strips], b[strips])), (len(kind), len(kind)))
     row = connected_components(links, directed=False)[1]

@@ -32,7 +32,7 @@ class Surface:
     facets: Ints  # (n,) indices
     area_mm2: float
     size_mm: tuple[float, float, float]  # extents of its bounding box
-    figure: str = ""  # its dimensions, such as "radius 5 mm"; of a freeform patch the residual of a cubic through the vertices about each
+    figure: str = ""  # its dimensions, such as "radius 5 mm"; of a freeform patch the noise of its vertices
 
     def as_dict(self) -> dict[str, Any]:
         """Everything but the list of facets, for JSON."""
@@ -74,7 +74,7 @@ def surfaces(part: Part, settings: CurveSettings) -> list[Surface]:
     named = (label >= 0) & np.append(rows[:, KIND] != FLAT, False)[label]
     form = np.where(named, label, -1).astype(
         np.int64
-    )  # exact surface of each facet; -1 for planes and what is not known
+    )  # exact surface of each facet; -1 for planes and others
     of_facet = _connected(surface, form)
     order = np.argsort(of_facet, kind="stable")
     groups = np.split(order, np.cumsum(np.bincount(of_facet))[:-1])
