@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ebamcheck.columns_file import starts_of
-from ebamcheck.curves.splitting import ARC, LINE, SPLINE
+from ebamcheck.curves.runs import ARC, LINE, SPLINE
 from ebamcheck.geometry.raster import each_of
 from ebamcheck.kernels import Floats, Ints
 

@@ -42,7 +42,7 @@ from ebamcheck.columns_file import (
 )
 from ebamcheck.curves import bezier
 from ebamcheck.curves.bezier import BezierSpans, arcs_through
-from ebamcheck.curves.splitting import ARC, LINE, SPLINE
+from ebamcheck.curves.runs import ARC, LINE, SPLINE
 from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.geometry.raster import each_of
 from ebamcheck.kernels import Bools, Floats, Ints

@@ -16,7 +16,7 @@ import numpy as np
 from ebamcheck.columns_file import starts_of
 from ebamcheck.curves.bezier import BezierSpans
 from ebamcheck.curves.columns import Curves
-from ebamcheck.curves.splitting import angles, around
+from ebamcheck.curves.runs import angles, around
 from ebamcheck.kernels import Bools, Floats, Ints, kernel
 from ebamcheck.threads import run_blocks
 

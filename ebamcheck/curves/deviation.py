@@ -10,8 +10,8 @@ import pandas as pd
 
 from ebamcheck.columns_file import starts_of
 from ebamcheck.curves.bezier import BezierSpans, places_along
-from ebamcheck.curves.cleaning import clean
 from ebamcheck.curves.columns import Curves
+from ebamcheck.curves.runs import clean
 from ebamcheck.errors import SettingsError
 from ebamcheck.geometry.nearest import nearest, segments_along, tree_over
 from ebamcheck.kernels import Bools, Floats, Ints, kernel

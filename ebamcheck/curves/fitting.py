@@ -9,16 +9,14 @@ from typing import Any
 import numpy as np
 
 from ebamcheck.backend import Progress
-from ebamcheck.curves.cleaning import CleanRings, clean
 from ebamcheck.curves.columns import Curves, joined
 from ebamcheck.curves.edges import with_edges
 from ebamcheck.curves.gate import Slack, gated
 from ebamcheck.curves.interpolation import CENTRIPETAL, CHORD_LENGTH, bulges, interpolate
 from ebamcheck.curves.lifting import Lifting, Limits
 from ebamcheck.curves.oriented_contours import FLAT_MM, as_they_are, orient
-from ebamcheck.curves.reduction import reduced_segments
-from ebamcheck.curves.segments import curves_of, smooth_segments
-from ebamcheck.curves.splitting import LINE, split
+from ebamcheck.curves.runs import LINE, CleanRings, clean, split
+from ebamcheck.curves.segments import curves_of, reduced_segments, smooth_segments
 from ebamcheck.errors import GeometryError, SettingsError
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part

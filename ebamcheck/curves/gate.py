@@ -15,12 +15,11 @@ import numpy as np
 
 from ebamcheck.columns_file import starts_of
 from ebamcheck.curves.bezier import BezierSpans
-from ebamcheck.curves.cleaning import clean
 from ebamcheck.curves.columns import Curves, Evidence, sampled_along, with_rings
 from ebamcheck.curves.crossings import crossings
 from ebamcheck.curves.deviation import deviation_of
 from ebamcheck.curves.lifting import Limits
-from ebamcheck.curves.splitting import LINE, around
+from ebamcheck.curves.runs import LINE, around, clean
 from ebamcheck.geometry import rings
 from ebamcheck.geometry.raster import each_of
 from ebamcheck.kernels import Bools, Floats, Ints

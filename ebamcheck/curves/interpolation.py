@@ -26,7 +26,7 @@ from scipy.linalg import solve_banded
 
 from ebamcheck.columns_file import starts_of
 from ebamcheck.curves.bezier import span_points
-from ebamcheck.curves.splitting import LINE, Runs, angles
+from ebamcheck.curves.runs import LINE, Runs, angles
 from ebamcheck.geometry.raster import each_of
 from ebamcheck.kernels import Bools, Floats, Ints
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ebamcheck.columns_file import starts_of
-from ebamcheck.curves.splitting import STRAIGHT_RATIO, angles, around, from_a_split, longest_beside
+from ebamcheck.curves.runs import STRAIGHT_RATIO, angles, around, from_a_split, longest_beside
 from ebamcheck.geometry.raster import each_of
 from ebamcheck.kernels import Bools, Floats, Ints, kernel
 from ebamcheck.mesh.topology import Index

@@ -7,7 +7,7 @@ import numpy as np
 
 from ebamcheck.columns_file import starts_of
 from ebamcheck.curves.oriented_contours import NO_FORM, NO_PLANE, Sides
-from ebamcheck.curves.splitting import angles, around
+from ebamcheck.curves.runs import angles, around
 from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.surface.exact_forms import FLAT, KIND, SIDE, signed_distances
 from ebamcheck.surface.exact_surfaces import ExactSurfaces
