@@ -23,10 +23,6 @@ SAMPLES = 4000  # Places per ring at which the normal distance is taken, equally
 CURVE_TOLERANCE_MM = 1e-5
 """Chord error of the polylines as which curves are measured: far below any error that matters."""
 
-NO_ERROR_MM = 1e-9
-"""Errors below this are rounding of coordinates a metre from the origin: there is nothing to reduce."""
-
-SAME_HEIGHT_MM = 1e-6  # Layers of two stacks belong together if their heights differ by no more than this
 LAYERS_A_STEP = 32  # Layers sampled at a time; bounds the working memory
 
 MEASURES = ("min", "max", "squares", "absolute")
@@ -130,7 +126,8 @@ def error_reduction(before: pd.DataFrame, after: pd.DataFrame) -> pd.Series:
         both = (before[f"{kind}_rms_mm"].notna() & after[f"{kind}_rms_mm"].notna()).to_numpy()
         old, new = (_totals(table[both], kind, weight) for table in (before, after))
         for name in old:
-            found[f"{kind}_{name}"] = 1.0 - new[name] / old[name] if old[name] > NO_ERROR_MM else math.nan
+            # Errors of 1e-9 mm are rounding of coordinates a metre from the origin.
+            found[f"{kind}_{name}"] = 1.0 - new[name] / old[name] if old[name] > 1e-9 else math.nan
     return pd.Series(found, name="reduction")
 
 
@@ -156,7 +153,7 @@ def _check(measured: Layers | Curves, reference: Layers | Curves, rays: int, sam
         counts = f"{len(measured)} layers cannot be measured against {len(reference)}"
         raise SettingsError(f"{counts}: cut both at the same heights")
     apart = np.abs(measured.heights - reference.heights)
-    if len(measured) and apart.max() > SAME_HEIGHT_MM:
+    if len(measured) and apart.max() > 1e-6:  # mm
         k = int(np.argmax(apart))
         raise SettingsError(
             f"layer {k + 1} lies at {measured.heights[k]:g} mm and its reference at {reference.heights[k]:g} mm: "

@@ -71,7 +71,7 @@ def arcs_through(points: Floats) -> Arcs:
 
 
 def span_counts(kind: NDArray[np.uint8], control_starts: Ints, knots: Floats, knot_starts: Ints) -> Ints:
-    """Number of NC blocks of each piece, (P,): non-empty knot spans of a spline, segments of a line, one for an arc."""
+    """Number of NC blocks of each piece, (P,): knot spans of a spline, segments of a line, one for an arc."""
     counts: Ints = np.maximum(np.diff(control_starts) - 1, 0)
     counts[kind == ARC] = 1
     curved = np.flatnonzero(kind == SPLINE)

@@ -57,10 +57,7 @@ DRAWN_TOLERANCE_MM = 0.005
 """Chord error of the polylines as which curves are drawn: far below what a screen shows of a part."""
 
 VERSION = "1"  # Version of the table in a file; a reader refuses any other
-
 LABELS = ("method", "settings", "part", "direction", "backend")
-
-LAYERS_A_ROW_GROUP = 1024
 
 _OF_RING = {"ring_pieces": pa.large_list(pa.int64()), "ring_closed": pa.large_list(pa.bool_())}
 _OF_PIECE = {"piece_kind": pa.large_list(pa.uint8()), "piece_control": pa.large_list(pa.int64())}
@@ -267,7 +264,7 @@ class Curves(LayerColumns[CurveLayer]):
         piece = self.piece(i)
         at = np.ascontiguousarray(parameters, dtype=np.float64).reshape(-1)
         if piece.kind == LINE:
-            travelled = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(piece.control, axis=0).T))])
+            travelled = np.cumsum(np.hypot(*np.diff(piece.control, axis=0, prepend=piece.control[:1]).T))
             return np.column_stack([np.interp(at, travelled, column) for column in piece.control.T])
         if piece.kind == ARC:
             arcs = arcs_through(np.repeat(piece.control[None], at.size, axis=0))
@@ -377,7 +374,7 @@ class Curves(LayerColumns[CurveLayer]):
         SettingsError
             If the file cannot be written.
         """
-        write_table(table_of(self), Path(path), row_group_size=LAYERS_A_ROW_GROUP)
+        write_table(table_of(self), Path(path), row_group_size=1024)
 
     @classmethod
     def from_parquet(cls, path: str | Path) -> Curves:
@@ -546,16 +543,13 @@ def _check(curves: Curves, pieces: Ints, controls: Ints, knots: Ints, path: Path
     sizes = np.diff(curves.control_starts)
     if (np.diff(curves.ring_starts) < 0).any() or (sizes < np.array([2, 4, 3])[curves.kind]).any():
         raise InputError(f"{path}: a piece has too few control points: 2 for a line, 4 for a spline")
-    whole = (
-        curves.ring_starts[-1] == curves.kind.size
-        and curves.control_starts[-1] == len(curves.control)
-        and curves.knot_starts[-1] == curves.knots.size
+    levels = (
+        (curves.ring_starts, curves.layer_starts, pieces, curves.kind),
+        (curves.control_starts, pieces, controls, curves.control),
+        (curves.knot_starts, pieces, knots, curves.knots),
     )
-    if not whole or not (
-        np.array_equal(curves.ring_starts[curves.layer_starts], pieces)
-        and np.array_equal(curves.control_starts[pieces], controls)
-        and np.array_equal(curves.knot_starts[pieces], knots)
-    ):
+    whole = all(starts[-1] == len(column) for starts, _, _, column in levels)
+    if not whole or not all(np.array_equal(starts[of], own) for starts, of, own, _ in levels):
         raise InputError(f"{path}: {_UNLIKE}")
     if not all(np.isfinite(column).all() for column in (curves.control, curves.knots, curves.heights)):
         raise InputError(f"{path}: holds a number that is not finite")

@@ -22,10 +22,9 @@ from ebamcheck.threads import run_blocks
 
 SMALLEST_MM = 1e-6  # Hulls that are smaller than this and still not separate count as touching
 
-MOST_WAITING = 256
-"""Size of the stack of pairs of halves still to test: two for each halving of either span; there are at most 60 halvings."""
-
-MOST_HALVINGS = 200_000  # Most pairs tested for two spans. More are needed only where they coincide over a length: they touch.
+MOST_WAITING = (
+    256  # Pairs of halves still to test: two for each halving of either span, of which there are at most 60
+)
 JOINT_MM = 1e-3  # Consecutive spans are tested only beyond this distance from the point that they share
 
 
@@ -92,12 +91,12 @@ def _cross_layer(
             closes = p == q and closed[p] and following[two] == one
             if follows != closes and smooth[one if follows else two]:
                 continue
-            if _meet_beyond_joint(points, one, two, follows, closes, waiting, size):
-                for r in (p, q):
-                    if not crossed[r]:
-                        crossed[r] = True
-                        ends = waiting[0, 0, 0] + waiting[0, 0, 3] + waiting[0, 1, 0] + waiting[0, 1, 3]
-                        at[r] = 0.25 * ends
+            if not _meet_beyond_joint(points, one, two, follows, closes, waiting, size):
+                continue
+            for r in (p, q):
+                if not crossed[r]:
+                    ends = waiting[0, 0, 0] + waiting[0, 0, 3] + waiting[0, 1, 0] + waiting[0, 1, 3]
+                    crossed[r], at[r] = True, 0.25 * ends
         count = kept
         active[count] = i
         count += 1
@@ -110,7 +109,8 @@ def _meet_beyond_joint(
     """Whether two spans meet, other than where one follows the other; the place is left in ``waiting[0]``."""
     waiting[0, 0], waiting[0, 1] = points[i], points[j]
     count = 1
-    for _ in range(MOST_HALVINGS):
+    # More halvings are needed only where spans coincide over a length: they touch.
+    for _ in range(200_000):
         if count == 0:
             return False
         count -= 1

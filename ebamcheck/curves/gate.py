@@ -33,14 +33,7 @@ CAUSES = ("", "sagitta", "plane", "crossing", "turned", "nesting")
 ACCEPTED, SAGITTA, PLANE, CROSSING, TURNED, NESTING = range(len(CAUSES))
 
 METHODS = ("", "polyline")  # The requested method, and that to which a ring falls back
-
 POLYLINE = 1
-
-MOST_ROUNDS = 6  # Most rounds of falling back: a ring falls once, but its neighbours may have to follow it
-MEAN_SHARE = 0.25  # Mean limit along a ring, over those of its places: single places may be off by more than a whole ring
-
-NESTING_MM = 0.01
-"""Chord error of the polylines by which nesting is found: one point of a ring tells, as nesting matters only if none cross."""
 
 
 class Slack(NamedTuple):
@@ -54,7 +47,7 @@ def gated(curves: Curves, layers: Layers, limits: Limits, slack: Slack) -> Curve
     """Curves with their evidence; those rings that are not accepted are the polylines of their contours."""
     asked = found = evidence(curves, layers, limits, slack)
     fallen = np.zeros(curves.closed.size, np.uint8)
-    for _ in range(MOST_ROUNDS):
+    for _ in range(6):  # a ring falls once, but its neighbours may have to follow it
         falling = ~found.accepted & (fallen == 0)
         if not falling.any():
             break
@@ -94,15 +87,15 @@ def _farthest(curves: Curves, layers: Layers, limits: Limits, slack: Slack, span
     inside = limits.plane[k] & (off.share > 0.0) & (off.share < 1.0)
     room = np.maximum(limits.of_point[k], limits.of_point[following[k]])
     found = Evidence(
-        np.zeros(count, np.uint8),
-        np.zeros(count, np.uint8),
-        np.ones(count, np.bool_),
-        np.zeros(count),
-        np.full(count, slack.anywhere),
-        np.full((count, 2), np.nan),
-        slack.anywhere + _mean_along(layers, limits, following),
-        np.zeros(count),
-        np.zeros(count),
+        cause=np.zeros(count, np.uint8),
+        method=np.zeros(count, np.uint8),
+        accepted=np.ones(count, np.bool_),
+        value_mm=np.zeros(count),
+        limit_mm=np.full(count, slack.anywhere),
+        at=np.full((count, 2), np.nan),
+        mean_limit_mm=slack.anywhere + _mean_along(layers, limits, following),
+        points_mm=np.zeros(count),
+        bulge_mm=np.zeros(count),
     )
     measured = np.diff(off.starts) > 0
     worst = np.full(count, -np.inf)
@@ -115,7 +108,9 @@ def _farthest(curves: Curves, layers: Layers, limits: Limits, slack: Slack, span
         if not rows.size:
             continue
         largest[rows] = np.maximum.reduceat(value, starts[rows])
-        at, excess = _greatest(value - limit, starts[rows])
+        excess = np.maximum.reduceat(value - limit, starts[rows])
+        at = np.flatnonzero(value - limit == np.repeat(excess, np.diff(starts)[rows]))
+        at = at[np.searchsorted(at, starts[rows])]  # the first place of each ring
         beyond = measured[rows] & (excess > worst[rows])
         at, rows = at[beyond], rows[beyond]
         worst[rows] = excess[beyond]
@@ -124,19 +119,11 @@ def _farthest(curves: Curves, layers: Layers, limits: Limits, slack: Slack, span
     return found
 
 
-def _greatest(values: Floats, starts: Ints) -> tuple[Ints, Floats]:
-    """Where the greatest value of each group is first found, and that value."""
-    greatest = np.maximum.reduceat(values, starts)
-    sizes = np.diff(starts, append=values.size)
-    at = np.flatnonzero(values == np.repeat(greatest, sizes))
-    return at[np.searchsorted(at, starts)], greatest
-
-
 def _mean_along(layers: Layers, limits: Limits, following: Ints) -> Floats:
-    """Mean limit along each ring, (R,) mm."""
+    """A quarter of the mean limit along each ring, (R,) mm: single places may be off by more than a whole ring."""
     ring = np.repeat(np.arange(layers.closed.size), np.diff(layers.ring_starts))
     long = np.hypot(*(layers.points[following] - layers.points).T)
-    middle = np.where(limits.plane, 0.0, 0.5 * (limits.of_point + limits.of_point[following])) * MEAN_SHARE
+    middle = np.where(limits.plane, 0.0, 0.5 * (limits.of_point + limits.of_point[following])) * 0.25
     total, weighed = (np.bincount(ring, w, minlength=layers.closed.size) for w in (long, long * middle))
     return np.asarray(weighed / np.where(total > 0.0, total, 1.0))
 
@@ -156,7 +143,8 @@ def _moved_out(curves: Curves, layers: Layers, spans: BezierSpans) -> Bools:
     several = np.repeat(np.diff(layers.layer_starts) > 1, np.diff(layers.layer_starts))
     if not several.any():
         return np.zeros(curves.closed.size, np.bool_)
-    sampled = sampled_along(spans, curves.closed, math.inf, NESTING_MM)
+    # A coarse polyline is enough: one point of a ring tells, as nesting matters only if none cross.
+    sampled = sampled_along(spans, curves.closed, math.inf, 0.01)
     areas = rings.signed_areas(sampled.points, sampled.ring_starts, curves.closed)
     boxes = rings.bounds(sampled.points, sampled.ring_starts)
     parents = rings.parents(sampled.points, sampled.ring_starts, layers.layer_starts, areas, boxes)
@@ -206,18 +194,16 @@ def _rings_of(layers: Layers, which: Bools) -> Layers:
 # curves must agree with it, up to the error that the areas of the contours themselves make, and up to how far
 # curves may lie outside or inside their contours.
 
-VOLUME_ROUNDING = 1e-9  # Relative rounding error allowed in the sum of a volume
-
 
 class StackEvidence(NamedTuple):
     """How layers agree with each other and with the mesh."""
 
     lift_mm: Floats  # (L,) mean lift of each layer; 0 without contours
     allowed_mm: Floats  # (L,) mean limit along the contours, by the mesh and the tolerance
+    # (L,) differences less the allowed ones: of the lift from that of the layer below, and of the volumes above that layer by the
+    # curves and of the mesh.
     jump_excess_mm: Floats
-    """(L,) difference of the lift from that of the layer below, less the allowed one; 0 or less is within the limit."""
     volume_excess_mm3: Floats
-    """(L,) difference between the volumes, above the layer below, by the curves and of the mesh, less the allowed one."""
 
     @property
     def accepted(self) -> bool:
@@ -244,5 +230,5 @@ def stack_evidence(curves: Curves, layers: Layers, part: Part, found: Evidence) 
         plain = 0.5 * step * (areas[1:] + areas[:-1])
         curved = plain + 0.5 * step * (gain[1:] + gain[:-1])
         allowed = np.abs(mesh - plain) + 0.5 * step * (may[1:] * length[1:] + may[:-1] * length[:-1])
-        volumes[1:] = np.abs(mesh - curved) - allowed - VOLUME_ROUNDING * np.abs(mesh)
+        volumes[1:] = np.abs(mesh - curved) - allowed - 1e-9 * np.abs(mesh)
     return StackEvidence(lift, may, jumps, volumes)

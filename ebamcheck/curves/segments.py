@@ -21,8 +21,6 @@ from ebamcheck.kernels import Bools, Floats, Ints, kernel
 from ebamcheck.layers.stack import Layers
 from ebamcheck.threads import run_blocks
 
-UNEVEN = 4.0  # Largest ratio of a knot interval to the length of its span, either way; beyond it a spline ends and the next begins
-
 
 class Segments(NamedTuple):
     """Segments of rings, as columns."""
@@ -72,12 +70,12 @@ def curves_of(segments: Segments, layers: Layers) -> Curves:
     legs = np.hypot(*np.moveaxis(B[:, [1, 3]] - B[:, [0, 2]], 2, 0))
     begins[1:] |= curved[1:] & ((legs[1:, 0] == 0.0) | (legs[:-1] == 0.0).any(axis=1))
     # Each knot interval is to that before as the legs that meet between them. So, over the length of a first leg, it grows by
-    # the logarithms of first over last legs; where it has grown too uneven the next spline begins.
+    # the logarithms of first over last legs; where it has grown fourfold, either way, the next spline begins.
     growth = np.log(np.where(legs > 0.0, legs, 1.0)) @ np.array([1.0, -1.0]) * curved
     grown = np.cumsum(growth) - growth
     while True:
         start = np.maximum.accumulate(np.where(begins, np.arange(count), 0))
-        uneven = np.flatnonzero(curved & (np.abs(grown - grown[start]) >= np.log(UNEVEN)))
+        uneven = np.flatnonzero(curved & (np.abs(grown - grown[start]) >= np.log(4.0)))
         if not uneven.size:
             break
         begins[uneven[np.unique(start[uneven], return_index=True)[1]]] = True
@@ -128,9 +126,6 @@ def curves_of(segments: Segments, layers: Layers) -> Curves:
 
 LARGEST_SWEEP_RAD = np.deg2rad(170.0)
 """Largest sweep of one arc: below half a turn, an arc given to a control by its radius is unambiguous."""
-
-LARGEST_RADIUS_MM = 10_000.0
-"""Largest radius of an arc: larger ones are nearly straight, with an ill-determined centre, and are written as cubics."""
 
 NEWTON_STEPS = 2  # Rounds in which samples move to their foot points and the cubic is fitted again
 SAMPLES_A_SEGMENT = 4  # Places along each segment of the contour at which the reduced curve is checked
@@ -286,7 +281,8 @@ def _fit_arc(path: Path, direction: Floats, i: int, j: int, tolerance: float, B:
     x, y = q[0] - p[0], q[1] - p[1]
     chord = np.hypot(x, y)
     half = np.arctan2(direction[0] * y - direction[1] * x, direction[0] * x + direction[1] * y)
-    if abs(half) > 0.5 * LARGEST_SWEEP_RAD or chord >= 2.0 * LARGEST_RADIUS_MM * np.sin(abs(half)):
+    # Arcs with a radius of over 10 m are nearly straight, with an ill-determined centre: they are written as cubics.
+    if abs(half) > 0.5 * LARGEST_SWEEP_RAD or chord >= 2.0 * 10_000.0 * np.sin(abs(half)):
         return False
     # The next segment starts in the arc's direction.
     if abs(path.turns[j] - path.turns[i] - 2.0 * half) > 2e-3:
