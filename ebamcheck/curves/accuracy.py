@@ -193,7 +193,7 @@ def _block_errors(
         other = b.points[b.ring_starts[j] : b.ring_starts[j + 1]]
         if sign[i] > 0:
             centre = 0.5 * (other.min(axis=0) + other.max(axis=0))
-            errors[k, 0] = _measures(_ray_radii(ring, centre, theta) - _ray_radii(other, centre, theta))
+            errors[k, 0] = _measures(polar_radius(ring, centre, theta) - polar_radius(other, centre, theta))
         errors[k, 1] = _measures(_normal_distances(_evenly_along(ring, samples), other))
     return pairs + np.array([measured.layer_starts[start], reference.layer_starts[start]]), errors
 
@@ -248,9 +248,10 @@ def _normal_distances(places: Floats, ring: Floats) -> Floats:
 
 def polar_radius(ring: ArrayLike, centre: ArrayLike, theta_rad: ArrayLike) -> Floats:
     """Distance (m,), mm, from `centre` at which a ray in each direction (m,), counter-clockwise from +x, meets a closed ring (n,
-    2).
+    2); NaN where a ray meets the ring never or more than once.
 
-    NaN where a ray meets the ring never or more than once.
+    A ray crosses a segment whose ends lie on different sides of its line, a point on the line counting
+    as left: a ray through a vertex thus counts once.
     """
     points = np.asarray(ring, dtype=np.float64).reshape(-1, 2)
     middle = np.asarray(centre, dtype=np.float64).reshape(-1)
@@ -260,19 +261,9 @@ def polar_radius(ring: ArrayLike, centre: ArrayLike, theta_rad: ArrayLike) -> Fl
         )
     theta = np.mod(np.asarray(theta_rad, dtype=np.float64).reshape(-1), 2.0 * math.pi)
     order = np.argsort(theta, kind="stable")
-    radii = np.empty(theta.size)
-    radii[order] = _ray_radii(points, middle, theta[order])
-    return radii
-
-
-def _ray_radii(ring: Floats, centre: Floats, theta: Floats) -> Floats:
-    """As :func:`polar_radius`, in sorted directions (m,), 0 .. 2 pi.
-
-    A ray crosses a segment whose ends lie on different sides of its line, a point on the line counting
-    as left: a ray through a vertex thus counts once.
-    """
+    theta = theta[order]
     turn = 2.0 * math.pi
-    px, py = (ring - centre).T
+    px, py = (points - middle).T
     qx, qy = np.roll(px, -1), np.roll(py, -1)
     ends = np.sort(np.arctan2([py, qy], [px, qx]), axis=0)
     over = ends[1] - ends[0] > math.pi
@@ -287,13 +278,13 @@ def _ray_radii(ring: Floats, centre: Floats, theta: Floats) -> Floats:
     counts = np.where(wide & (shift != 0.0), 0, last - first).reshape(-1)
     begin = np.repeat(first.reshape(-1) - np.concatenate([[0], np.cumsum(counts)[:-1]]), counts)
     ray = begin + np.arange(begin.size)
-    i = np.repeat(np.tile(np.arange(len(ring)), 3), counts)
+    i = np.repeat(np.tile(np.arange(len(points)), 3), counts)
     px, py, qx, qy, c, s = px[i], py[i], qx[i], qy[i], np.cos(theta)[ray], np.sin(theta)[ray]
     met = (c * py - s * px >= 0.0) != (c * qy - s * qx >= 0.0)
     across = np.where(met, c * (qy - py) - s * (qx - px), 1.0)
     away = (px * qy - py * qx) / across
     met &= away > 0.0
     radii = np.full(theta.size, np.nan)
-    radii[ray[met]] = away[met]
-    radii[np.bincount(ray[met], minlength=theta.size) != 1] = np.nan
+    radii[order[ray[met]]] = away[met]
+    radii[order[np.bincount(ray[met], minlength=theta.size) != 1]] = np.nan
     return radii

@@ -10,10 +10,9 @@ import numpy as np
 
 from ebamcheck.backend import Progress
 from ebamcheck.curves.columns import Curves, joined
-from ebamcheck.curves.edges import with_edges
 from ebamcheck.curves.gate import Slack, gated
 from ebamcheck.curves.interpolation import CENTRIPETAL, CHORD_LENGTH, bulges, interpolate
-from ebamcheck.curves.lifting import Lifting, Limits
+from ebamcheck.curves.lifting import Lifting, Limits, with_edges
 from ebamcheck.curves.oriented_contours import FLAT_MM, as_they_are, orient
 from ebamcheck.curves.runs import LINE, CleanRings, clean, split
 from ebamcheck.curves.segments import curves_of, reduced_segments, smooth_segments

@@ -146,8 +146,7 @@ class _Splines:
         V, h = self.points, self.interval[:, None]
         m = self.derivatives()
         back, right = np.roll(h, 1, axis=0), h >= np.roll(h, 1, axis=0)
-        out = V + m * h / 3.0, np.roll(V - m * np.roll(h, 1, axis=0) / 3.0, -1, axis=0)
-        ahead, arriving = out[0], V - m * back / 3.0
+        ahead, arriving = V + m * h / 3.0, V - m * back / 3.0
         far = np.where(right, np.roll(arriving, -1, axis=0), np.roll(ahead, 1, axis=0))
         near = np.where(right, ahead, arriving)
         inner = near + (near - far) * np.where(right, back / h, h / back)

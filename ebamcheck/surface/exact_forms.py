@@ -154,7 +154,7 @@ def _quadrics(points: Floats, size: float, tolerance_mm: float) -> tuple[int, Fl
     if count != 1:
         return count, None
     own = vectors[-1] / np.concatenate([np.full(6, size * size), np.full(3, size), [1.0]])
-    row = _row(QUADRIC, middle, own)
+    row = form_row(QUADRIC, middle, own)
     if _farthest(row, points) > tolerance_mm:
         return 0, None
     if x.size < CUBIC_TERMS:
@@ -167,7 +167,7 @@ def _quadrics(points: Floats, size: float, tolerance_mm: float) -> tuple[int, Fl
 # -- first guesses -----------------------------------------------------------------------------------------
 
 
-def _row(kind: int, place: Floats, own: Sequence[float] | Floats) -> Floats:
+def form_row(kind: int, place: Floats, own: Sequence[float] | Floats) -> Floats:
     """A form in the layout of exact_forms, its side to be set."""
     row = np.zeros(SIZE)
     row[KIND], row[PLACE:OWN], row[OWN : OWN + len(own)] = kind, place, own
@@ -176,7 +176,7 @@ def _row(kind: int, place: Floats, own: Sequence[float] | Floats) -> Floats:
 
 def _sphere(points: Floats) -> Floats:
     centre, radius = _ball(points)
-    return _row(SPHERE, centre, [radius])
+    return form_row(SPHERE, centre, [radius])
 
 
 def _ball(points: Floats) -> tuple[Floats, float]:
@@ -203,7 +203,7 @@ def _cylinder(points: Floats, places: Floats, normals: Floats) -> Floats:
     axis = np.linalg.svd(normals, full_matrices=False)[2][-1]
     frame = _across(axis)
     centre, radius = _ball(points @ frame.T)
-    return _row(CYLINDER, centre @ frame + axis * float((points @ axis).mean()), [*axis, radius])
+    return form_row(CYLINDER, centre @ frame + axis * float((points @ axis).mean()), [*axis, radius])
 
 
 def _cone(points: Floats, places: Floats, normals: Floats) -> Floats:
@@ -214,7 +214,7 @@ def _cone(points: Floats, places: Floats, normals: Floats) -> Floats:
     if along.mean() < 0.0:
         axis, along = -axis, -along
     angle = float(np.median(np.arctan2(across, along)))
-    return _row(CONE, tip, [*axis, np.cos(angle), np.sin(angle)])
+    return form_row(CONE, tip, [*axis, np.cos(angle), np.sin(angle)])
 
 
 def _torus(points: Floats, places: Floats, normals: Floats) -> Floats | None:
@@ -231,7 +231,7 @@ def _torus(points: Floats, places: Floats, normals: Floats) -> Floats | None:
     foot = np.cross(direction, moment) / (length * length)
     along, across = _around((points - middle) / size - foot, axis)
     centre, tube = _ball(np.column_stack([across, along]))
-    return _row(TORUS, middle + size * (foot + centre[1] * axis), [*axis, size * centre[0], size * tube])
+    return form_row(TORUS, middle + size * (foot + centre[1] * axis), [*axis, size * centre[0], size * tube])
 
 
 # -- what is told ------------------------------------------------------------------------------------------

@@ -10,8 +10,6 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
 from ebamcheck.geometry.raster import each_of
 from ebamcheck.kernels import Bools, Floats, kernel
@@ -19,26 +17,17 @@ from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.topology import NO_TWIN, Index, split_corners
 from ebamcheck.surface.exact_forms import (
     FLAT,
-    KIND,
-    OWN,
-    PLACE,
     SIDE,
     SIZE,
+    form_row,
     signed_distance,
     signed_distances,
     told_forms,
 )
+from ebamcheck.surface.planes import connected
 from ebamcheck.surface.regions import PLANE, STRIP, Regions
 
 NO_SURFACE = -1
-
-GAP = 4.0  # A group this many times farther from the surface than the next nearer one is a flat side that only ends on the surface
-
-MOST_OF_TYPICAL = 25.0
-"""Largest distance of a facet from an exact surface, over the mesh's median sagitta: long facets of scattered points are so far."""
-
-MOST_PIECES = 1000
-"""Pieces that may fail before the search stops, the largest first: a noisy mesh has very many."""
 
 
 class ExactSurfaces(NamedTuple):
@@ -54,7 +43,8 @@ def exact_surfaces(part: Part, twin: Index, across: Index, regions: Regions, typ
     `twin` (3 F,) is the half-edge across each, -1 at creases; `across` the same at creases, too; `typical` the median sagitta of
     the mesh, from its dihedral angles, mm.
     """
-    return _Search(part, twin, across, regions, MOST_OF_TYPICAL * typical).run()
+    # Long facets of scattered points are as far as 25 sagittas from their surface.
+    return _Search(part, twin, across, regions, 25.0 * typical).run()
 
 
 class _Search:
@@ -79,7 +69,7 @@ class _Search:
         failed = 0
         for piece in self._pieces():
             failed += not self._try(piece)
-            if failed >= MOST_PIECES:
+            if failed >= 1000:  # a noisy mesh has very many
                 break
         label = self.of_group[self.ground.label]
         rows = np.array(self.rows).reshape(-1, SIZE)
@@ -96,12 +86,11 @@ class _Search:
         found = [rows]
         for number, group in enumerate(np.unique(ground.label[beside]).tolist(), len(rows)):
             facets = ground.facets[ground.starts[group] : ground.starts[group + 1]]
-            row = np.zeros((1, SIZE))
-            row[0, KIND], row[0, SIDE] = FLAT, 1.0
-            row[0, PLACE:OWN] = ground.vertices[np.unique(ground.faces[facets])].mean(axis=0)
-            row[0, OWN : OWN + 3] = ground.normals[group]
+            middle = ground.vertices[np.unique(ground.faces[facets])].mean(axis=0)
+            row = form_row(FLAT, middle, ground.normals[group])
+            row[SIDE] = 1.0
             label[facets] = number
-            found.append(row)
+            found.append(row[None])
         return ExactSurfaces(label, np.concatenate(found))
 
     def _pieces(self) -> Iterator[Index]:
@@ -110,9 +99,7 @@ class _Search:
         half = np.flatnonzero(ground.twin != NO_TWIN)
         a, b = ground.label[half // 3], ground.label[ground.twin[half] // 3]
         joined = (self.kind[a] == self.kind[b]) & (self.kind[a] != PLANE) & (a != b)
-        count = len(self.kind)
-        links = coo_matrix((np.ones(joined.sum()), (a[joined], b[joined])), (count, count))
-        piece = connected_components(links, directed=False)[1]
+        piece = connected(a[joined], b[joined], len(self.kind))
         area = np.bincount(piece, self.areas)
         order = np.argsort(piece, kind="stable").astype(np.int32)
         pieces = np.split(order, np.cumsum(np.bincount(piece))[:-1])
@@ -201,9 +188,12 @@ class _Search:
 
 
 def _without_flat_sides(sagittas: Floats) -> float:
-    """Largest distance of a group from the surface, mm: that below the first leap by :data:`GAP` in the upper half, if any."""
+    """Largest distance of a group from the surface, mm: that below the first fourfold leap in the upper half, if any.
+
+    Groups beyond it are flat sides that only end on the surface.
+    """
     upper = np.sort(sagittas)[len(sagittas) // 2 :]
-    leaps = np.flatnonzero(upper[1:] > GAP * np.maximum(upper[:-1], 1e-9))
+    leaps = np.flatnonzero(upper[1:] > 4.0 * np.maximum(upper[:-1], 1e-9))
     return float(1.01 * upper[leaps[0]]) if leaps.size else np.inf
 
 

@@ -152,7 +152,7 @@ def judge_bends(surface: PartSurface, edges: _Edges | None = None) -> Bends:
 
 def _is_alike(surface: PartSurface, corner: Ints, chord: Floats) -> Bools:
     """Whether edges (n, 3) from corners and the neighbours behind these, in the same smooth fans, are of one curvature each."""
-    by_fan = corners_by(surface.fans, surface.kind == FREEFORM)
+    by_fan = corners_by(surface.vertices, surface.faces, surface.fans)
     fan = surface.fans.reshape(-1)[corner]
     edge, place = each_of(np.diff(by_fan.starts)[fan])
     around = by_fan.corners[by_fan.starts[fan][edge] + place]
@@ -245,7 +245,7 @@ def _most_ahead(surface: PartSurface, ends: EndsAhead, far_ends_right: bool) -> 
 
 
 def _ground(surface: PartSurface) -> Ground:
-    by_fan = corners_by(surface.fans, surface.kind == FREEFORM)
+    by_fan = corners_by(surface.vertices, surface.faces, surface.fans)
     normals, centres = (
         np.ascontiguousarray(surface.facet_normals),
         circumcentres(surface.vertices[surface.faces]),

@@ -38,7 +38,7 @@ def region_normals(part: Part, twin: Index, regions: Regions) -> RegionNormals:
     cosines = np.einsum("ij,ij->i", np.repeat(facet_normals, 3, axis=0), means[sectors.reshape(-1)])
     least = np.ones(count)
     np.minimum.at(least, sectors.reshape(-1)[corner], cosines[corner])
-    found = jets(vertices, faces, corners_by(sectors, seen), means, least)
+    found = jets(corners_by(vertices, faces, sectors, seen), means, least)
     a, b = np.repeat(label, 3), label[twin // 3]
     inner = (twin != NO_TWIN) & ((a == b) | ((kind[a] == FREEFORM) & (kind[b] == FREEFORM)))
     rows = split_corners(faces, np.where(inner, twin, NO_TWIN).astype(twin.dtype))

@@ -16,6 +16,7 @@ import numpy as np
 from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.mesh.topology import Index
 from ebamcheck.surface.jets import Corners, corners_by, predicted
+from ebamcheck.surface.planes import area_vectors
 from ebamcheck.threads import run_blocks
 
 IN_ROWS = 0.85
@@ -63,14 +64,14 @@ def vertex_offsets(vertices: Floats, faces: Index, smooth: Bools, fans: Index, f
     `smooth` (3 F,) half-edges are no creases, `fans` (F, 3) are the smooth fans of corners, and `free` (F,) facets are freely
     curved."""
     flat = fans.reshape(-1)
-    by_fan = corners_by(fans, np.ones(len(faces), np.bool_))
+    by_fan = corners_by(vertices, faces, fans)
     edges = np.diff(by_fan.starts).astype(np.int64)
     count = edges.size
     on = smooth.reshape(-1, 3)
     around = on & on[:, [2, 0, 1]]
     closed = (np.bincount(flat, around.reshape(-1), minlength=count) == edges) & (edges > 0)
     inner = closed & (np.bincount(flat, np.repeat(free, 3), minlength=count) == edges)
-    split, fewer = _splitting(vertices, faces, by_fan, closed)
+    split, fewer = _splitting(by_fan, closed)
     in_rows = (edges - fewer)[inner & ~split]
     if not in_rows.size:
         return Offsets(0, 0.0, 0, 0.0, np.inf)
@@ -82,11 +83,10 @@ def vertex_offsets(vertices: Floats, faces: Index, smooth: Bools, fans: Index, f
     # At most 20,000 vertices, evenly spread over the mesh: more would not make the offset more certain.
     asked = np.zeros(count, np.bool_)
     asked[np.flatnonzero(inner)[:: -(-int(inner.sum()) // 20_000)]] = True
-    a, b, c = vertices[faces].swapaxes(0, 1)
-    areas = np.cross(b - a, c - a)
+    areas = area_vectors(vertices[faces])
 
     def work(first: int, last: int) -> None:
-        predicted(vertices, faces, areas, by_fan, asked, first, last, found)
+        predicted(by_fan, areas, asked, first, last, found)
 
     run_blocks(work, count, 512)
     x, r = found[np.isfinite(found).all(axis=1)].T
@@ -99,12 +99,12 @@ def vertex_offsets(vertices: Floats, faces: Index, smooth: Bools, fans: Index, f
     return rows._replace(told=len(x), offset=offset, error=error)
 
 
-def _splitting(vertices: Floats, faces: Index, by_fan: Corners, closed: Bools) -> tuple[Bools, Ints]:
+def _splitting(by_fan: Corners, closed: Bools) -> tuple[Bools, Ints]:
     """Fans of vertices that split an edge, and how many edges fewer each fan has without them."""
     split, fewer = np.zeros(closed.size, np.bool_), np.zeros(closed.size, np.int64)
     four = np.flatnonzero(closed & (np.diff(by_fan.starts) == 4))
     around = by_fan.corners[by_fan.starts[four][:, None] + np.arange(4)]
-    flat = faces.reshape(-1)
+    flat, vertices = by_fan.faces.reshape(-1), by_fan.vertices
     ahead = vertices[flat[3 * (around // 3) + (around + 1) % 3]] - vertices[flat[around[:, :1]]]
     lengths = np.linalg.norm(ahead, axis=2)
     product = np.einsum("nad,nbd->nab", ahead, ahead)

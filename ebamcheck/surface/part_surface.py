@@ -132,8 +132,8 @@ def mesh_sagittas(
     vertices: Floats, faces: Index, twin: Index, normals: Floats, kind: NDArray[np.uint8]
 ) -> Sagittas:
     """Sagittas across edges that are no crease: of an arc over the lower of the two facets that turns by what they turn."""
-    count = len(vertices)
-    edges = vertices[np.roll(faces, -1, axis=1)] - vertices[faces]
+    count, heads = len(vertices), np.roll(faces, -1, axis=1)
+    edges = vertices[heads] - vertices[faces]
     lengths = np.linalg.norm(edges, axis=2)
     areas = 0.5 * np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
     heights = (2.0 * areas[:, None] / np.maximum(lengths, 1e-300)).reshape(-1)
@@ -150,7 +150,7 @@ def mesh_sagittas(
     order = told[np.argsort(of_facet[told], kind="stable")]
     below = np.cumsum(areas[order])
     typical = float(of_facet[order][np.searchsorted(below, 0.5 * below[-1])])
-    ends = np.concatenate([faces.reshape(-1)[h], np.roll(faces, -1, axis=1).reshape(-1)[h]])
+    ends = np.concatenate([faces.reshape(-1)[h], heads.reshape(-1)[h]])
     long, both = np.tile(lengths.reshape(-1)[h], 2), np.tile(edge[h], 2)
     weights = np.bincount(ends, long, minlength=count)
     mean = np.bincount(ends, long * both, minlength=count) / np.where(weights > 0.0, weights, 1.0)

@@ -8,8 +8,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 
-from ebamcheck.kernels import Floats, kernel
+from ebamcheck.kernels import Floats, Ints, kernel
 from ebamcheck.mesh.part import Part, rotation_to_z
 from ebamcheck.mesh.topology import NO_TWIN, Index
 from ebamcheck.settings.base import UNITS_MM
@@ -36,7 +38,7 @@ class PlanarGroups(NamedTuple):
 def planar_groups(vertices: Floats, faces: Index, twin: Index, tolerance_mm: float) -> PlanarGroups:
     """Group the facets that are coplanar with their neighbours, within the tolerance."""
     corners = vertices[faces]
-    vectors = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    vectors = area_vectors(corners)
     areas = np.linalg.norm(vectors, axis=1)
     longest = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2).max(axis=1, initial=0.0)
     facets = _Facets(vertices, faces, twin, vectors, areas, longest, corners.mean(axis=1))
@@ -50,6 +52,17 @@ def planar_groups(vertices: Floats, faces: Index, twin: Index, tolerance_mm: flo
     starts = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int32)
     by_group = np.argsort(label, kind="stable").astype(np.int32)
     return PlanarGroups(label, normals, sizes, group_areas, starts, by_group)
+
+
+def area_vectors(corners: Floats) -> Floats:
+    """Normals of triangles (n, 3, 3) times their areas, mm2."""
+    return np.asarray(0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
+
+
+def connected(a: Ints, b: Ints, count: int) -> Ints:
+    """Number of the piece (count,) that each item belongs to, if items `a` are joined with items `b`."""
+    links = coo_matrix((np.ones(len(a)), (a, b)), (count, count))
+    return np.asarray(connected_components(links, directed=False)[1], np.int64)
 
 
 class _Facets(NamedTuple):

@@ -6,14 +6,12 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
 from ebamcheck.kernels import Bools, Floats, Ints, kernel
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.topology import NO_TWIN, Index
 from ebamcheck.settings.stages import CurveSettings
-from ebamcheck.surface.planes import PlanarGroups, planar_groups, plane_tolerance_mm
+from ebamcheck.surface.planes import PlanarGroups, connected, planar_groups, plane_tolerance_mm
 
 FREEFORM, PLANE, STRIP = 0, 1, 2
 """Kinds of region: freely curved; flat; flat between straight rulings at which the surface continues to turn."""
@@ -114,8 +112,7 @@ def _polygon_edges(
     # Of an arc over both strips.
     sagitta = np.abs(borders.turn) * (borders.width + borders.width[twin]) / 16.0
     strips = (kind[a] == STRIP) & (kind[b] == STRIP)
-    links = coo_matrix((np.ones(strips.sum()), (a[strips], b[strips])), (len(kind), len(kind)))
-    row = connected_components(links, directed=False)[1]
+    row = connected(a[strips], b[strips], len(kind))
     onto_plane = h[(kind[a] == STRIP) & (kind[b] == PLANE)]
     rounding = np.zeros(len(kind), np.bool_)
     rounding[row[groups.label[onto_plane[_is_tangent(twin, groups.label, borders, onto_plane)] // 3]]] = True

@@ -10,8 +10,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
 from ebamcheck.kernels import Floats, Ints
 from ebamcheck.mesh.part import Part
@@ -19,6 +17,7 @@ from ebamcheck.mesh.topology import NO_TWIN
 from ebamcheck.settings.stages import CurveSettings
 from ebamcheck.surface.exact_forms import CONE, CYLINDER, FLAT, KIND, NAMES, OWN, SPHERE, TORUS
 from ebamcheck.surface.part_surface import PartSurface, surface_of
+from ebamcheck.surface.planes import area_vectors, connected
 from ebamcheck.surface.regions import PLANE, STRIP
 
 KINDS = ("plane", "cylinder", "cone", "sphere", "torus", "quadric", "ruled", "freeform")
@@ -93,14 +92,12 @@ def _connected(surface: PartSurface, form: Ints) -> Ints:
     first = np.zeros(len(surface.exact.rows), np.int64)
     first[form[named][::-1]] = named[::-1]
     a, b = np.concatenate([a[joined], named]), np.concatenate([b[joined], first[form[named]]])
-    links = coo_matrix((np.ones(len(a)), (a, b)), (len(form), len(form)))
-    return np.asarray(connected_components(links, directed=False)[1], np.int64)
+    return connected(a, b, len(form))
 
 
 def _surface(part: Part, surface: PartSurface, facets: Ints, form: int) -> Surface:
     corners = part.vertices[part.faces[facets]]
-    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    area = 0.5 * np.linalg.norm(across, axis=1)
+    area = np.linalg.norm(area_vectors(corners), axis=1)
     x, y, z = np.ptp(corners.reshape(-1, 3), axis=0).tolist()
     name, figure = {PLANE: "plane", STRIP: "ruled"}.get(int(surface.kind[facets[0]]), "freeform"), ""
     if form >= 0:
