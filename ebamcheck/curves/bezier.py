@@ -45,7 +45,8 @@ class Arcs(NamedTuple):
     def at(self, share: Floats) -> Floats:
         """Points (n, 2) at a share 0 .. 1 of each sweep."""
         angle = self.start + share * self.sweep
-        return self.centre + self.radius[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
+        away = self.radius[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
+        return np.asarray(self.centre + away)
 
 
 def arcs_through(points: Floats) -> Arcs:

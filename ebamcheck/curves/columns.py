@@ -442,6 +442,18 @@ def sampled_along(spans: BezierSpans, closed: Bools, step_mm: float, tolerance_m
 # -- other stacks of the same pieces -----------------------------------------------------------------
 
 
+def of_layers(
+    layers: Layers,
+    ring_starts: Ints,
+    kind: NDArray[np.uint8],
+    control: tuple[Ints, Floats],
+    knots: tuple[Ints, Floats],
+) -> Curves:
+    """Curves of the rings of layers, from the columns of their pieces."""
+    stack = layers.heights, layers.layer_starts, ring_starts, layers.closed
+    return Curves(*stack, kind, *control, *knots)
+
+
 def joined(blocks: Sequence[Curves]) -> Curves:
     """Consecutive blocks of one stack as one."""
     columns: dict[str, Any] = {

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ebamcheck.backend import Progress
-from ebamcheck.curves.columns import Curves, joined
+from ebamcheck.curves.columns import Curves, joined, of_layers
 from ebamcheck.curves.gate import Slack, gated
 from ebamcheck.curves.interpolation import CENTRIPETAL, CHORD_LENGTH, bulges, interpolate
 from ebamcheck.curves.lifting import Lifting, Limits, with_edges
@@ -186,22 +186,12 @@ def _interpolated(layers: Layers, cleaned: CleanRings, settings: CurveSettings, 
     """Splines through the points of runs; those that bulge too far are lines."""
     corner_deg, straight_mm = settings.corner_angle_deg, settings.straight_run_mm
     runs = split(layers.points, cleaned, layers.closed, corner_deg, straight_mm)
-    control, control_starts, knots, knot_starts = interpolate(runs, power)
-    bulging = bulges(control, control_starts, knots, knot_starts, runs.kind) > settings.largest_bulge_mm
+    control, knots = interpolate(runs, power)
+    bulging = bulges(control, knots, runs.kind) > settings.largest_bulge_mm
     if bulging.any():
         runs = runs._replace(kind=np.where(bulging, np.uint8(LINE), runs.kind))
-        control, control_starts, knots, knot_starts = interpolate(runs, power)
-    return Curves(
-        heights=layers.heights,
-        layer_starts=layers.layer_starts,
-        ring_starts=runs.ring_starts,
-        closed=layers.closed,
-        kind=runs.kind,
-        control_starts=control_starts,
-        control=control,
-        knot_starts=knot_starts,
-        knots=knots,
-    )
+        control, knots = interpolate(runs, power)
+    return of_layers(layers, runs.ring_starts, runs.kind, control, knots)
 
 
 def _accepted(

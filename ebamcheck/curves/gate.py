@@ -15,7 +15,7 @@ import numpy as np
 
 from ebamcheck.columns_file import starts_of
 from ebamcheck.curves.bezier import BezierSpans
-from ebamcheck.curves.columns import Curves, Evidence, sampled_along, with_rings
+from ebamcheck.curves.columns import Curves, Evidence, of_layers, sampled_along, with_rings
 from ebamcheck.curves.crossings import crossings
 from ebamcheck.curves.deviation import deviation_of
 from ebamcheck.curves.lifting import Limits
@@ -159,17 +159,10 @@ def polylines(layers: Layers) -> Curves:
     filled = sizes > 0
     more = sizes + (layers.closed & filled)
     ring, place = each_of(more)
-    return Curves(
-        heights=layers.heights,
-        layer_starts=layers.layer_starts,
-        ring_starts=starts_of(filled),
-        closed=layers.closed,
-        kind=np.full(np.count_nonzero(filled), LINE, np.uint8),
-        control_starts=starts_of(more[filled]),
-        control=points[cleaned.rows[cleaned.starts[ring] + place % sizes[ring]]],
-        knot_starts=np.zeros(np.count_nonzero(filled) + 1, np.int64),
-        knots=np.zeros(0),
-    )
+    control = points[cleaned.rows[cleaned.starts[ring] + place % sizes[ring]]]
+    kind = np.full(np.count_nonzero(filled), LINE, np.uint8)
+    no_knots = np.zeros(kind.size + 1, np.int64), np.zeros(0)
+    return of_layers(layers, starts_of(filled), kind, (starts_of(more[filled]), control), no_knots)
 
 
 def _rings_of(layers: Layers, which: Bools) -> Layers:

@@ -40,8 +40,8 @@ BULGE_LIMIT = 0.6
 The most found on random runs with chords of 1 um .. 100 mm and turns up to 40 degrees is 0.48."""
 
 
-def interpolate(runs: Runs, power: float = CENTRIPETAL) -> tuple[Floats, Ints, Floats, Ints]:
-    """Control points (M, 2), their starts (P + 1,), knots (K,) and their starts (P + 1,), all in mm.
+def interpolate(runs: Runs, power: float = CENTRIPETAL) -> tuple[tuple[Ints, Floats], tuple[Ints, Floats]]:
+    """Starts (P + 1,) of the control points (M, 2) of each run, and these; the same of the knots (K,); all in mm.
 
     A curved run of n + 1 points gets n + 3 control points and n + 7 knots, of which the first and the
     last four are equal. The paper's parameters 0 .. 1 are scaled to the length of the run's chords,
@@ -67,7 +67,7 @@ def interpolate(runs: Runs, power: float = CENTRIPETAL) -> tuple[Floats, Ints, F
         # Each run's parameters, its first and last three times more.
         own, inside = each_of(sizes[curved] + 6)
         knots[:] = splines.parameters[rows[own] + np.clip(inside - 3, 0, sizes[curved][own] - 1)]
-    return control, control_starts, knots, knot_starts
+    return (control_starts, control), (knot_starts, knots)
 
 
 class _Splines:
@@ -186,15 +186,13 @@ def _arc_over_chord(angle: Floats) -> Floats:
     return np.where(angle > 1e-8, angle / np.sin(np.maximum(angle, 1e-8)), 1.0)
 
 
-def bulges(
-    control: Floats, control_starts: Ints, knots: Floats, knot_starts: Ints, kind: NDArray[np.uint8]
-) -> Floats:
+def bulges(control: tuple[Ints, Floats], knots: tuple[Ints, Floats], kind: NDArray[np.uint8]) -> Floats:
     """Greatest distance of each piece's curve from the chords between its points, (P,) mm; 0 for lines.
 
     The distance of a cubic from the line through its ends is a cubic with two known roots, so its extremes are
     those of a quadratic: exact, without sampling.
     """
-    B, _, piece = span_points(kind, control, control_starts, knots, knot_starts)
+    B, _, piece = span_points(kind, control[1], control[0], knots[1], knots[0])
     chord = B[:, 3] - B[:, 0]
     length = np.hypot(*chord.T)
     legs = B[:, 1:3] - B[:, :1]

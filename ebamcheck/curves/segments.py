@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ebamcheck.columns_file import starts_of
 from ebamcheck.curves.bezier import places_along
-from ebamcheck.curves.columns import Curves
+from ebamcheck.curves.columns import Curves, of_layers
 from ebamcheck.curves.oriented_contours import OrientedContours
 from ebamcheck.curves.runs import ARC, LINE, SPLINE, angles, around
 from ebamcheck.geometry.raster import each_of
@@ -109,17 +109,8 @@ def curves_of(segments: Segments, layers: Layers) -> Curves:
         knots[head + step] = 0.0
     for step in (1, 2):
         knots[tail - step] = along[last[splines]]
-    return Curves(
-        heights=layers.heights,
-        layer_starts=layers.layer_starts,
-        ring_starts=np.searchsorted(first, segments.ring_starts).astype(np.int64),
-        closed=layers.closed,
-        kind=of_piece,
-        control_starts=control_starts,
-        control=control,
-        knot_starts=knot_starts,
-        knots=knots,
-    )
+    ring_starts = np.searchsorted(first, segments.ring_starts).astype(np.int64)
+    return of_layers(layers, ring_starts, of_piece, (control_starts, control), (knot_starts, knots))
 
 
 # -- reduction -------------------------------------------------------------------------------------------

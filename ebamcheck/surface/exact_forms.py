@@ -284,22 +284,17 @@ def refined(row: Floats, points: Floats, tolerance: float) -> Floats:
         found = signed_distances(rows, np.tile(points, (len(moves), 1)))[:, 0]
         return np.asarray(found.reshape(len(moves), -1) / size)
 
+    def off_at(move: Floats) -> Floats:
+        return np.asarray(off(move[None])[0])
+
     def slopes(move: Floats) -> Floats:
         here, *beside = off(move + tries)
         return np.column_stack([there - here for there in beside]) / STEP
 
     move = np.zeros(count)
+    end = 1e-15  # as far as rounding goes
     for steps in (8, 40):
-        found = least_squares(
-            lambda m: off(m[None])[0],
-            move,
-            slopes,
-            method="lm",
-            max_nfev=steps,
-            xtol=1e-15,
-            ftol=1e-15,
-            gtol=1e-15,
-        )
+        found = least_squares(off_at, move, slopes, method="lm", max_nfev=steps, xtol=end, ftol=end, gtol=end)
         move = found.x
         if not np.sqrt(np.mean(found.fun * found.fun)) * size <= 100.0 * tolerance:
             break
