@@ -196,8 +196,8 @@ def _lift(edge: _Edges, limits: LiftLimits, i: Ints, height: Floats, t: Floats, 
     low, high = low * share[:, None], high * share[:, None]
     curved = np.flatnonzero(share * most > 0.0)
     t = t.copy()
-    start, rise, *bends = (column[curved, 2] for column in (edge.start, edge.chord, low, high))
-    t[curved] = _places(start - height[curved], rise, *bends, t[curved])
+    start, rise, bend, other = (column[curved, 2] for column in (edge.start, edge.chord, low, high))
+    t[curved] = _places(start - height[curved], rise, bend, other, t[curved])
     s = 1.0 - t
     ahead = edge.start + edge.chord * t[:, None] + (t * s * s)[:, None] * low - (t * t * s)[:, None] * high
     move = ahead[:, :2] - found.points[i]

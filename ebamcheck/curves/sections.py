@@ -152,8 +152,8 @@ def refined(
     kept: dict[int, tuple[Ints, Floats, Floats]] = {}
     count = 1
     while pending.size:
-        rows, z = forms[form[pending]], heights[ring[pending]]
-        known, followed, *between = _divided(rows, sides, pending, following[pending], z, count)
+        own, z = forms[form[pending]], heights[ring[pending]]
+        known, followed, *between = _divided(own, sides, pending, following[pending], z, count)
         good = known & (followed | (count == MOST_PARTS))
         parts[pending[good]] = count
         kept[count] = pending[good], between[0][good], between[1][good]

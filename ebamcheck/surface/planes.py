@@ -59,7 +59,7 @@ def area_vectors(corners: Floats) -> Floats:
     return np.asarray(0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
 
 
-def connected(a: Ints, b: Ints, count: int) -> Ints:
+def connected(a: Ints | Index, b: Ints | Index, count: int) -> Ints:
     """Number of the piece (count,) that each item belongs to, if items `a` are joined with items `b`."""
     links = coo_matrix((np.ones(len(a)), (a, b)), (count, count))
     return np.asarray(connected_components(links, directed=False)[1], np.int64)
