@@ -15,7 +15,7 @@ BIN := $(VENV)/bin
 # A worker that dies ends the run: started anew, it may wait for ever for the tests of the one before it.
 PYTEST := $(BIN)/python -m pytest -q -n 4 --dist loadfile --max-worker-restart 0 $(PYTEST_OPTIONS)
 
-.PHONY: help setup lock newest oldest demo test test-quick test-slow test-long test-bounds lint types format map docs wheel container benchmark tables benchmark-gpu benchmark-curves clean
+.PHONY: help setup lock newest oldest demo test test-quick test-slow test-long test-bounds lint types format map docs wheel container benchmark tables benchmark-gpu benchmark-curves mutants clean
 
 help: ## Show the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -116,6 +116,10 @@ benchmark-gpu: setup ## The stencil alone, under the name of its renderer
 
 benchmark-curves: setup ## How much of a part its curves give back; tables in reports/curves (a quarter of an hour)
 	@$(BIN)/python -m benchmarks.curves
+
+mutants: setup ## Plant wrong changes of the code, two a room, and count the tests that find them (a quarter of an hour)
+	@$(BIN)/ebamcheck warm
+	@$(BIN)/python -m benchmarks.mutants -o reports/benchmarks/mutants.md
 
 clean: ## Remove what the targets made
 	@rm -rf $(VENV) demo site .mypy_cache .ruff_cache .pytest_cache .hypothesis

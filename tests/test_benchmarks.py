@@ -18,7 +18,8 @@ from benchmarks import curves, ladder, parts, plot, targets, yardsticks
 from benchmarks.even_mesh import even_mesh
 from benchmarks.figures import Spread, cell_times, is_scaled, quantity, ratio, spread, spread_text, total_s
 from benchmarks.ladder import Effort, Method, measure_ladder
-from benchmarks.watch import run_task, watch
+from benchmarks.mutants import mutants
+from benchmarks.watch import ROOT, run_task, watch
 from benchmarks.worker import some_of
 from ebamcheck.curves import METHODS
 from ebamcheck.errors import BackendFailed
@@ -270,3 +271,10 @@ def test_the_tables_of_the_curves_name_every_kind_and_method(tmp_path: Path) -> 
     text = (tmp_path / "curves.md").read_text()
     assert all(f"| {row['part']} |" in text for row in record["parts"])
     assert all(row["crossing"] == 0 for row in record["parts"] if row["method"] in METHODS)
+
+
+def test_every_wrong_change_can_be_planted() -> None:
+    """Rows of ``benchmarks/mutations`` follow the code: each text stands once in its file, and its tests are there."""
+    for row in mutants():
+        assert row.planted((ROOT / row.file).read_text(encoding="utf-8"))
+        assert all((ROOT / test.partition("::")[0]).exists() for test in row.tests), row

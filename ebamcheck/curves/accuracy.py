@@ -194,7 +194,7 @@ def _block_errors(
         if sign[i] > 0:
             centre = 0.5 * (other.min(axis=0) + other.max(axis=0))
             errors[k, 0] = _measures(polar_radius(ring, centre, theta) - polar_radius(other, centre, theta))
-        errors[k, 1] = _measures(_normal_distances(_evenly_along(ring, samples), other))
+        errors[k, 1] = _measures(_normal_distances(ring, samples, other))
     return pairs + np.array([measured.layer_starts[start], reference.layer_starts[start]]), errors
 
 
@@ -222,24 +222,27 @@ def _measures(errors: Floats) -> list[float]:
     return [errors.min(), errors.max(), (errors * errors).sum(), np.abs(errors).sum()]
 
 
-def _evenly_along(ring: Floats, count: int) -> Floats:
-    """Equally spaced places (count, 2) along a closed ring (n, 2)."""
-    closed = np.concatenate([ring, ring[:1]])
-    travelled = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(closed, axis=0).T))])
-    wanted = (np.arange(count) + 0.5) / count * travelled[-1]
-    return np.column_stack([np.interp(wanted, travelled, column) for column in closed.T])
-
-
 @kernel
-def _normal_distances(places: Floats, ring: Floats) -> Floats:
-    """Signed distances (n,) of places (n, 2) that follow one another from a closed ring."""
-    tree = tree_over(segments_along(ring, True))
-    result = np.empty(len(places))
-    guess = 0
-    for k in range(len(places)):
-        found = nearest(tree, places[k, 0], places[k, 1], guess)
+def _normal_distances(ring: Floats, count: int, reference: Floats) -> Floats:
+    """Signed distances (count,) of equally spaced places along a closed ring (n, 2) from a closed reference ring (m, 2)."""
+    travelled = np.zeros(len(ring) + 1)
+    for i in range(len(ring)):
+        k = i + 1 if i + 1 < len(ring) else 0
+        travelled[i + 1] = travelled[i] + math.hypot(ring[k, 0] - ring[i, 0], ring[k, 1] - ring[i, 1])
+    tree = tree_over(segments_along(reference, True))
+    result = np.empty(count)
+    guess = i = 0
+    for n in range(count):
+        wanted = (n + 0.5) / count * travelled[-1]
+        while i + 1 < len(ring) and travelled[i + 1] <= wanted:
+            i += 1
+        k = i + 1 if i + 1 < len(ring) else 0
+        step, along = travelled[i + 1] - travelled[i], wanted - travelled[i]
+        x = (ring[k, 0] - ring[i, 0]) / step * along + ring[i, 0]
+        y = (ring[k, 1] - ring[i, 1]) / step * along + ring[i, 1]
+        found = nearest(tree, x, y, guess)
         guess = found.segment
-        result[k] = signed_distance(tree, places[k, 0], places[k, 1], found)
+        result[n] = signed_distance(tree, x, y, found)
     return result
 
 
@@ -249,9 +252,6 @@ def _normal_distances(places: Floats, ring: Floats) -> Floats:
 def polar_radius(ring: ArrayLike, centre: ArrayLike, theta_rad: ArrayLike) -> Floats:
     """Distance (m,), mm, from `centre` at which a ray in each direction (m,), counter-clockwise from +x, meets a closed ring (n,
     2); NaN where a ray meets the ring never or more than once.
-
-    A ray crosses a segment whose ends lie on different sides of its line, a point on the line counting
-    as left: a ray through a vertex thus counts once.
     """
     points = np.asarray(ring, dtype=np.float64).reshape(-1, 2)
     middle = np.asarray(centre, dtype=np.float64).reshape(-1)
@@ -262,29 +262,53 @@ def polar_radius(ring: ArrayLike, centre: ArrayLike, theta_rad: ArrayLike) -> Fl
     theta = np.mod(np.asarray(theta_rad, dtype=np.float64).reshape(-1), 2.0 * math.pi)
     order = np.argsort(theta, kind="stable")
     theta = theta[order]
+    radii = np.empty(theta.size)
+    radii[order] = _radii_of(points - middle, theta, np.cos(theta), np.sin(theta))
+    return radii
+
+
+@kernel
+def _radii_of(ring: Floats, theta: Floats, cos: Floats, sin: Floats) -> Floats:
+    """Radii (m,) of a closed ring (n, 2) about the origin, on rays in sorted directions.
+
+    A ray crosses a segment whose ends lie on different sides of its line, a point on the line counting
+    as left: a ray through a vertex thus counts once.
+    """
     turn = 2.0 * math.pi
-    px, py = (points - middle).T
-    qx, qy = np.roll(px, -1), np.roll(py, -1)
-    ends = np.sort(np.arctan2([py, qy], [px, qx]), axis=0)
-    over = ends[1] - ends[0] > math.pi
-    low, high = np.where(over, ends[1], ends[0]), np.where(over, ends[0] + turn, ends[1])
-    wide = high - low > 3.1  # rad: the segment passes so near to the centre that every ray is tested on it
-    low, high = np.where(wide, 0.0, low), np.where(wide, turn, high)
-    # The directions run from 0 to 2 pi, low from -pi to pi.
-    shift = np.array([[-turn], [0.0], [turn]])
     margin = 1e-9  # rad: rays this far beyond the ends are tested, too; angles are rounded, crossings are not
-    first = np.searchsorted(theta, low + shift - margin)
-    last = np.searchsorted(theta, high + shift + margin, side="right")
-    counts = np.where(wide & (shift != 0.0), 0, last - first).reshape(-1)
-    begin = np.repeat(first.reshape(-1) - np.concatenate([[0], np.cumsum(counts)[:-1]]), counts)
-    ray = begin + np.arange(begin.size)
-    i = np.repeat(np.tile(np.arange(len(points)), 3), counts)
-    px, py, qx, qy, c, s = px[i], py[i], qx[i], qy[i], np.cos(theta)[ray], np.sin(theta)[ray]
-    met = (c * py - s * px >= 0.0) != (c * qy - s * qx >= 0.0)
-    across = np.where(met, c * (qy - py) - s * (qx - px), 1.0)
-    away = (px * qy - py * qx) / across
-    met &= away > 0.0
-    radii = np.full(theta.size, np.nan)
-    radii[order[ray[met]]] = away[met]
-    radii[order[np.bincount(ray[met], minlength=theta.size) != 1]] = np.nan
+    radii, crossed = np.empty(len(theta)), np.zeros(len(theta), np.int64)
+    px, py = ring[-1, 0], ring[-1, 1]
+    begin = math.atan2(py, px)
+    for i in range(len(ring)):
+        qx, qy = ring[i, 0], ring[i, 1]
+        end = math.atan2(qy, qx)
+        low, high = min(begin, end), max(begin, end)
+        if high - low > math.pi:
+            low, high = high, low + turn
+        wide = high - low > 3.1  # the segment passes so near to the centre that every ray is tested on it
+        # The directions run from 0 to 2 pi, low from -pi to pi.
+        shift = 0.0 if wide else -turn
+        while shift <= turn:
+            first, last = 0, len(theta)
+            if not wide:
+                while first < last:
+                    middle = (first + last) // 2
+                    if theta[middle] < low + shift - margin:
+                        first = middle + 1
+                    else:
+                        last = middle
+            for k in range(first, len(theta)):
+                if not wide and theta[k] > high + shift + margin:
+                    break
+                c, s = cos[k], sin[k]
+                if (c * py - s * px >= 0.0) != (c * qy - s * qx >= 0.0):
+                    away = (px * qy - py * qx) / (c * (qy - py) - s * (qx - px))
+                    if away > 0.0:
+                        radii[k] = away
+                        crossed[k] += 1
+            shift += 4.0 * turn if wide else turn
+        px, py, begin = qx, qy, end
+    for k in range(len(theta)):
+        if crossed[k] != 1:
+            radii[k] = math.nan
     return radii

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ebamcheck.columns_file import starts_of
 from ebamcheck.curves.runs import ARC, LINE, SPLINE
 from ebamcheck.geometry.raster import each_of
-from ebamcheck.kernels import Floats, Ints
+from ebamcheck.kernels import Bools, Floats, Ints, kernel
 
 LARGEST_SPAN_RAD = math.radians(5.0)
 """Largest sweep of one cubic span of an arc: the span leaves the circle by less than 1e-11 of the radius."""
@@ -155,21 +155,12 @@ def _arc_spans(arcs: Arcs, control: Floats, place: Ints, count: Ints) -> tuple[F
     return B, interval
 
 
-def bezier_at(B: Floats, t: Floats) -> Floats:
-    """Points (n, 2) of Bezier spans (n, 4, 2) at a parameter 0 .. 1 each."""
-    return np.asarray(np.einsum("nk,nkd->nd", _bernstein(t), B))
-
-
 def places_along(B: Floats, count: int) -> Floats:
     """Points (count, n, 2) of Bezier spans (n, 4, 2) at the parameters 0, 1 / count, 2 / count and so on."""
-    weights = _bernstein(np.arange(count) / count)
-    return np.asarray(weights @ np.moveaxis(B, 1, 0).reshape(4, -1)).reshape(count, -1, 2)
-
-
-def _bernstein(t: Floats) -> Floats:
-    """Weights (n, 4) of the control points of a cubic at parameters 0 .. 1."""
+    t = np.arange(count) / count
     s = 1.0 - t
-    return np.stack([s * s * s, 3.0 * s * s * t, 3.0 * s * t * t, t * t * t], axis=1)
+    weights = np.stack([s * s * s, 3.0 * s * s * t, 3.0 * s * t * t, t * t * t], axis=1)
+    return np.asarray(weights @ np.moveaxis(B, 1, 0).reshape(4, -1)).reshape(count, -1, 2)
 
 
 def arc_lengths(B: Floats) -> Floats:
@@ -207,13 +198,21 @@ def _counts(steps: Floats) -> Ints:
     return np.maximum(1, np.ceil(np.minimum(steps, 2.0**31))).astype(np.int64)
 
 
-def sample_spans(B: Floats, kind: NDArray[np.uint8], chords: Ints) -> Floats:
-    """The points at the starts of the chords of each span, (sum of chords, 2)."""
-    span, place = each_of(chords)
-    share = place / chords[span]
-    found = B[span, 0]
-    inner = np.flatnonzero(share > 0.0)
-    spans = B[span[inner]]
-    line = spans[:, 0] + (spans[:, 3] - spans[:, 0]) * share[inner, None]
-    found[inner] = np.where((kind[span[inner]] == LINE)[:, None], line, bezier_at(spans, share[inner]))
-    return np.asarray(found)
+@kernel
+def sample_spans(B: Floats, lines: Bools, chords: Ints) -> Floats:
+    """The points at the starts of the chords of each span, (sum of chords, 2); `lines` tells spans that are straight."""
+    count = 0
+    for n in range(len(B)):
+        count += chords[n]
+    result = np.empty((count, 2))
+    row = 0
+    for n in range(len(B)):
+        for k in range(chords[n]):
+            t = k / chords[n]
+            s = 1.0 - t
+            for axis in range(2):
+                a, b, c, d = B[n, 0, axis], B[n, 1, axis], B[n, 2, axis], B[n, 3, axis]
+                curved = s * s * s * a + 3.0 * s * s * t * b + 3.0 * s * t * t * c + t * t * t * d
+                result[row, axis] = a if k == 0 else a + (d - a) * t if lines[n] else curved
+            row += 1
+    return result

@@ -434,7 +434,7 @@ def sampled_along(spans: BezierSpans, closed: Bools, step_mm: float, tolerance_m
     points = np.empty((int(places[-1]), 2))
     starts = np.ones(len(points), np.bool_)
     starts[places[ends + 1] - 1] = False
-    points[starts] = bezier.sample_spans(spans.points, spans.kind, chords)
+    points[starts] = bezier.sample_spans(spans.points, spans.kind == LINE, chords)
     points[~starts] = spans.points[ends, 3]
     return SampledRings(points, starts_of(np.bincount(spans.ring, sizes, minlength=closed.size)))
 

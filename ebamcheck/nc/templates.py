@@ -71,9 +71,8 @@ class ProcessValues:
         return to_increment(getattr(self, name), self.increments.get(name, 0.0))
 
     @cached_property
-    def _placeholders(self) -> dict[str, object]:
-        values = {name: self.printed(name) for name in PLACEHOLDERS}
-        return {name: value if isinstance(value, int) else _Value(value) for name, value in values.items()}
+    def _placeholders(self) -> _Placeholders:
+        return _Placeholders(self)
 
     def at(self, power: float, wire: float) -> ProcessValues:
         """The same values at a share of the beam's power, by its current, and a share of the wire speed."""
@@ -83,6 +82,21 @@ class ProcessValues:
     def fill(self, name: str, template: Iterable[str]) -> list[str]:
         """Fill the lines of the template `name`; raises :class:`SettingsError` for what makes no block."""
         return [_filled(f"machine.{name}", line, self._placeholders) for line in template]
+
+
+class _Placeholders(dict[str, object]):
+    """Values by the names of placeholders, each printed when a template first asks for it."""
+
+    def __init__(self, values: ProcessValues) -> None:
+        super().__init__()
+        self._values = values
+
+    def __missing__(self, name: str) -> object:
+        if name not in PLACEHOLDERS:
+            raise KeyError(name)
+        value = self._values.printed(name)
+        self[name] = value if isinstance(value, int) else _Value(value)
+        return self[name]
 
 
 PLACEHOLDERS = tuple(one.name for one in fields(ProcessValues) if one.name != "increments")
