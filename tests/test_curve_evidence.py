@@ -11,8 +11,8 @@ from benchmarks.curve_parts import CAD, CAD_MM, FLAT, TRUTH_MM, heights_of, part
 from benchmarks.curve_parts_meshes import as_file, split_edges, turned
 from benchmarks.curve_parts_solids import Solid, frustum, lathe, regular_prism
 from ebamcheck.curves import contour_error, fit, fit_deviation, fit_for_program
+from ebamcheck.curves.columns import with_rings
 from ebamcheck.curves.crossings import crossings
-from ebamcheck.curves.edges import with_edges
 from ebamcheck.curves.gate import (
     CROSSING,
     NESTING,
@@ -24,9 +24,8 @@ from ebamcheck.curves.gate import (
     evidence,
     polylines,
     stack_evidence,
-    with_rings,
 )
-from ebamcheck.curves.lifting import OF_SAGITTAS, Lifting, Limits
+from ebamcheck.curves.lifting import OF_SAGITTAS, Lifting, Limits, with_edges
 from ebamcheck.errors import SettingsError
 from ebamcheck.layers.stack import Layers, from_rings
 from ebamcheck.mesh.bodies import volumes_between

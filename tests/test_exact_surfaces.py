@@ -18,7 +18,8 @@ from curve_parts import (
 
 from benchmarks.curve_parts_meshes import bored, irregular_convex
 from benchmarks.curve_parts_solids import Bow, lathe
-from ebamcheck.curves import METHODS, fit
+from ebamcheck.curves import fit
+from ebamcheck.curves.fitting import ungated
 from ebamcheck.curves.gate import Slack, gated
 from ebamcheck.curves.lifting import Lifting
 from ebamcheck.curves.sections import on_both, on_one
@@ -41,9 +42,9 @@ from ebamcheck.surface.exact_forms import (
     TORUS,
     signed_distance,
     signed_distances,
+    told_forms,
 )
 from ebamcheck.surface.exact_surfaces import ExactSurfaces
-from ebamcheck.surface.form_fits import told_forms
 from ebamcheck.surface.part_surface import surface_of
 
 SETTINGS = CurveSettings()
@@ -315,7 +316,7 @@ def test_a_surface_that_the_turns_of_the_mesh_do_not_bear_out_is_refused() -> No
     fallen = []
     for rows in (surface.exact.rows, wrong):
         lifting = Lifting(surface._replace(exact=surface.exact._replace(rows=rows)))
-        curves = gated(METHODS["bounded"](cut, SETTINGS, lifting), cut, lifting.allowed(cut), slack)
+        curves = gated(ungated("bounded", cut, SETTINGS, lifting), cut, lifting.allowed(cut), slack)
         assert curves.evidence is not None
         fallen.append((curves.evidence.method > 0).mean())
     assert fallen[0] < 0.5
