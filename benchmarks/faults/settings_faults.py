@@ -6,29 +6,24 @@ They are not in a program but in what programs are made from: the run must refus
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from benchmarks.faults.finished import Finished, Workshop
-from benchmarks.faults.judging import Said, Verdict, failures, reseal, strip
-from benchmarks.faults.results import Result, noted
-from benchmarks.faults.subjects import CONTROLS, SUBJECTS, TWELVE, Subject
+from benchmarks.faults.judging import Verdict, failures, reseal, strip
+from benchmarks.faults.kinds import LINUXCNC, PLAIN, SINUMERIK
+from benchmarks.faults.planting import Result
+from benchmarks.faults.subjects import CONTROLS, SUBJECTS, TWELVE, Finished, Subject, Workshop
 from ebamcheck.curves import Curves
 from ebamcheck.json_values import write_json
 from ebamcheck.nc.control import control
 from ebamcheck.pipeline import run_job
 from ebamcheck.program import Check, ProgramFiles, mark_validated
-from ebamcheck.record.run_folder import (
-    MANIFEST,
-    RunFolder,
-)
+from ebamcheck.record.run_folder import MANIFEST, RunFolder
 from ebamcheck.scan import ScanPlan
 from ebamcheck.settings.config import Config
 from ebamcheck.verification.verify import verify_against_part, verify_run
-
-SINUMERIK, LINUXCNC, PLAIN = CONTROLS
 
 BEGIN = {
     SINUMERIK: ("G91", "G70", "TRANS X5", "ROT RPL=5", "SCALE X2 Y2", "MIRROR X0", "G500", "G55", "G19", "G95", "GOTOF ENDE", "M0", "POS[X]=5", "G0 X5 Y5", "BRISK", "M30"),
@@ -96,14 +91,14 @@ class SettingFault:
         return f"{self.kind}/{self.control}/{self.variant}"
 
 
-def setting_faults(kinds: str = "", controls: tuple[str, ...] = CONTROLS) -> Iterator[SettingFault]:
+def setting_faults(kinds: str = "", controls: Sequence[str] = CONTROLS) -> Iterator[SettingFault]:
     """All faults of settings, or those whose kind's name contains a text."""
+    rounds = {"curves": {"crease_angle_deg": 40.0}}
     found = []
     for c in CONTROLS:
         found += [_template("template of a layer", c, b, "layer_begin", (b,)) for b in BEGIN[c]]
         found += [_template("template after a layer", c, b, "layer_end", (b,)) for b in BEGIN[c][:3]]
         found += [_template("template of a switch", c, *spoiled) for spoiled in OF_SWITCHES[c]]
-        rounds = {"curves": {"crease_angle_deg": 40.0}}
         found.append(
             SettingFault("fit that rounds edges", "metal", c, "0.988 mm", TWELVE, rounds, ("fit", "MAIN"))
         )
@@ -122,14 +117,16 @@ def judged_setting(fault: SettingFault, workshop: Workshop, folder: Path) -> Res
     sound = workshop.finished(fault.subject, fault.control)
     spoiled = folder / "spoiled"
     shutil.rmtree(spoiled, ignore_errors=True)
-
-    def config() -> Config:
-        return fault.subject.config(fault.control, **fault.settings)
-
     make = _posted if "machine" in fault.settings else _run
-    run = _verdict(fault, failures(lambda: make(sound, spoiled, config())))
-    text = _verdict(fault, failures(lambda: _text(sound, spoiled, config())))
-    return Result(
+
+    def verdict_of(checks: Callable[[Finished, Path, Config], list[Check]]) -> Verdict:
+        said = failures(lambda: checks(sound, spoiled, fault.subject.config(fault.control, **fault.settings)))
+        right = [s.check for s in said if any(name in f"{s.where} {s.text}" for name in fault.names)]
+        return Verdict(tuple(said), tuple(dict.fromkeys(right)))
+
+    return Result.of(
+        verdict_of(make),
+        verdict_of(_text),
         name=fault.name,
         kind=fault.kind,
         changes=fault.changes,
@@ -139,13 +136,6 @@ def judged_setting(fault: SettingFault, workshop: Workshop, folder: Path) -> Res
         what=f"settings {dict(fault.settings)}",
         where="settings",
         unseen="",
-        run_checks=tuple(s.check for s in run.said),
-        run_found=run.found,
-        run_by=run.by,
-        text_checks=tuple(s.check for s in text.said),
-        text_found=text.found,
-        text_by=text.by,
-        notes=(noted(run.said), noted(text.said)),
     )
 
 
@@ -186,8 +176,3 @@ def _text(sound: Finished, spoiled: Path, config: Config) -> list[Check]:
     shutil.copytree(program, alone)
     strip(alone)
     return verify_against_part(alone, sound.part, config)
-
-
-def _verdict(fault: SettingFault, said: list[Said]) -> Verdict:
-    right = [s.check for s in said if any(name in f"{s.where} {s.text}" for name in fault.names)]
-    return Verdict(tuple(said), tuple(dict.fromkeys(right)))
