@@ -110,15 +110,6 @@ def test_too_much_wire_is_found(square):
     assert not deposit_gate(square.checks().values(), square.config).passed
 
 
-def test_feed_at_half_speed_lays_twice_the_metal(square):
-    def slower(lines):
-        for i, line in enumerate(lines):
-            lines[i] = line.replace("F600", "F300")
-
-    square.edit(LAYER, slower)
-    assert "metal of layers" in square.failed()
-
-
 def test_a_bead_beside_the_part_is_found_whatever_a_comment_says(square):
     def astray(lines):
         i = next(n for n, line in enumerate(lines) if "M62" in line)
@@ -144,22 +135,24 @@ def test_a_sum_that_rounding_puts_under_0_is_no_metal_beside_the_part():
     assert str(check.value) == "0.0"
 
 
-def test_a_contour_laid_twice_is_found(square):
-    def twice(lines):
-        i = next(n for n, line in enumerate(lines) if line.startswith("; RING"))
-        j = next(n for n, line in enumerate(lines) if "M61" in line)
-        lines[j + 1 : j + 1] = [re.sub(r"^N\d+ ", "", line) for line in lines[i : j + 1]]
-
-    square.edit(LAYER, twice)
-    assert {"metal of layers"} <= square.failed()
+def feed_halved(lines):
+    lines[:] = [line.replace("F600", "F300") for line in lines]
 
 
-def test_missing_metal_is_found(square):
-    def without_half(lines):
-        islands = [n for n, line in enumerate(lines) if line.startswith("; ISLAND")]
-        del lines[islands[1] : islands[len(islands) // 2]]
+def contour_laid_twice(lines):
+    i = next(n for n, line in enumerate(lines) if line.startswith("; RING"))
+    j = next(n for n, line in enumerate(lines) if "M61" in line)
+    lines[j + 1 : j + 1] = [re.sub(r"^N\d+ ", "", line) for line in lines[i : j + 1]]
 
-    square.edit(LAYER, without_half)
+
+def half_of_the_islands_left_out(lines):
+    islands = [n for n, line in enumerate(lines) if line.startswith("; ISLAND")]
+    del lines[islands[1] : islands[len(islands) // 2]]
+
+
+@pytest.mark.parametrize("spoil", [feed_halved, contour_laid_twice, half_of_the_islands_left_out])
+def test_too_much_or_too_little_metal_in_a_layer_is_found(square, spoil):
+    square.edit(LAYER, spoil)
     assert "metal of layers" in square.failed()
 
 

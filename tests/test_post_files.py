@@ -55,57 +55,6 @@ def test_an_unknown_control_is_refused_by_name(tmp_path):
         wrote(tmp_path, {"control": "heidenhain"}, smooth_curves())
 
 
-def test_the_text_of_a_linuxcnc_program(tmp_path):
-    square = np.array([(0, 0), (10, 0), (10, 10), (0, 0)], float)
-    curves = make_curves([0.8], [[[(square, None)]]], [True])
-    plan = make_plan([0.8], [(0, hatch(2, 2, 2, 6.0))])
-    files, _ = wrote(tmp_path, {"control": "linuxcnc", "decimals": 3}, curves, plan)
-    lines = files.main.read_text().splitlines()
-    assert files.names == ("MAIN.ngc",)
-    assert lines[:2] == ["; MAIN", "; NOT VALIDATED"]
-    modes = ["G17 G21 G90 G91.1 G94", "G40 G49 G80", "G92.1", "G54", "G64 P0.05"]
-    off = ["M65 P1 ; wire off", "M65 P0 ; beam off"]
-    beam = ["M68 E0 Q60 ; accelerating voltage, kV", "M68 E1 Q120 ; beam current, mA"]
-    on = [
-        "M68 E1 Q120 ; beam current, mA",
-        "M64 P0 ; beam on",
-        "M68 E2 Q33.333333 ; wire speed, mm/s",
-        "M64 P1 ; wire on",
-    ]
-    assert [line for line in lines[2:] if ": " not in line] == [
-        *modes,
-        *off,
-        *beam,
-        *modes,
-        "(MSG, LAYER 1 OF 1)",
-        *beam,
-        "G0 Z21.676",
-        "; RING 0",
-        "G0 X0.000 Y0.000",
-        "G0 Z1.676",
-        *on,
-        "G1 X10.000 Y0.000 F600",
-        "G1 X10.000 Y10.000",
-        "G1 X0.000 Y0.000",
-        *off,
-        "; ISLAND 0",
-        "G0 X2.000 Y2.000",
-        *on,
-        "G1 X8.000 Y2.000 F600",
-        "G1 X8.000 Y6.320 ; TURN",
-        "G1 X2.000 Y6.320",
-        *off,
-        "G0 Z21.676",
-        *off,
-        "M67 E2 Q0 ; wire speed, mm/s",
-        "M68 E0 Q0 ; accelerating voltage, kV",
-        "M68 E1 Q0 ; beam current, mA",
-        "G0 Z21.676",
-        "G0 X0.000 Y0.000",
-        "M2",
-    ]
-
-
 # -- heat simulator --------------------------------------------------------------------------------
 
 

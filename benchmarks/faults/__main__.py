@@ -5,16 +5,14 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Collection, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 
 from benchmarks.faults import tables
 from benchmarks.faults.honest import honest_runs
-from benchmarks.faults.planting import Fault, Planter, Result, Results, faults
-from benchmarks.faults.settings_faults import SettingFault, judged_setting, setting_faults
-from benchmarks.faults.subjects import CONTROLS, SUBJECTS, Workshop, code_digest, plant_digest
+from benchmarks.faults.planting import Planter, Result, Results, faults
+from benchmarks.faults.subjects import CONTROLS, Workshop, code_digest, plant_digest
 from benchmarks.watch import ROOT
 from ebamcheck.atomic_file import replacing
 
@@ -26,8 +24,11 @@ NOTED_EVERY = 20
 PART = "prism"
 """Part of the quick faults: it has long ways, and is verified soon; where a fault needs bores or arcs, another part serves."""
 
-QUICK = tuple(Path(__file__).with_name("quick.txt").read_text(encoding="utf-8").splitlines())
-"""Names of some faults of every group, each for one control; all of them are found."""
+QUICK = dict(
+    line.split(" | ")
+    for line in Path(__file__).with_name("quick.txt").read_text(encoding="utf-8").splitlines()
+)
+"""Some faults of every group by name, each for one control, and the checks that must find it by run or text."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -40,7 +41,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for result in quick_results(workshop, options.seed):
             print(_line(result), flush=True)
             missed += [result.name] if result.run_missed or result.text_missed else []
-        print("\n".join(f"missed: {name}" for name in missed))
+        for name in missed:
+            print(f"missed: {name}")
         return int(bool(missed))
     folder = options.work / "results" / f"{code_digest()}-{plant_digest()}-{options.seed}"
     controls = (options.control,) if options.control else CONTROLS
@@ -63,30 +65,20 @@ def planted(
     planter = Planter(workshop, options.seed)
     begin = time.monotonic()
     results = []
-    every: list[Fault | SettingFault] = [
-        *faults(options.kind, controls),
-        *setting_faults(options.kind, controls),
-    ]
-    for fault in every:
-        if isinstance(fault, Fault):
-            result = known.of(fault.name, partial(planter.judged, fault, workshop.folder))
-        else:
-            result = known.of(fault.name, partial(judged_setting, fault, workshop, workshop.folder))
+    for fault in faults(options.kind, controls):
+        result = known.of(fault.name, partial(planter.judged, fault, workshop.folder))
         results += [result] if result else []
         if len(results) % NOTED_EVERY == 0:
             _note(f"{len(results)} faults, {time.monotonic() - begin:.0f} s")
     return results
 
 
-def quick_results(workshop: Workshop, seed: int, names: Sequence[str] = QUICK) -> Iterator[Result]:
+def quick_results(workshop: Workshop, seed: int, names: Collection[str] = QUICK) -> Iterator[Result]:
     """Judge the quick faults, or some of them."""
     planter = Planter(workshop, seed, (PART,))
     for fault in faults():
         if fault.name in names:
             yield planter.judged(fault, workshop.folder)
-    for spoiled in setting_faults():
-        if spoiled.name in names:
-            yield judged_setting(replace(spoiled, subject=SUBJECTS[PART]), workshop, workshop.folder)
 
 
 def write(
@@ -94,7 +86,7 @@ def write(
 ) -> None:
     """Write table and rows."""
     folder.mkdir(parents=True, exist_ok=True)
-    planned = sum(1 for _ in faults()) + sum(1 for _ in setting_faults())
+    planned = sum(1 for _ in faults())
     texts = {
         "faults.md": tables.as_markdown(results, honest, seed, planned),
         "faults.csv": tables.as_csv(results),

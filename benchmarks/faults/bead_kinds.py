@@ -111,18 +111,6 @@ def _repeated(ground: Ground, contour: bool) -> list[Place]:
     )
 
 
-# fmt: off
-kind("bead beside the part", METAL, _beside_part, ROLES, what="bead of 10 mm, 40 mm beside the part, {v}")
-kind("bead beside the part in other letters", METAL, _spelled, tuple(SPELLINGS), what="a bead beside the part, {v}")
-kind("bead across a channel", METAL, _across_channel, ROLES, subjects=("bored",), what="bead across the bore, {v}")
-kind("extra bead in an island", METAL, _over_island, ("in a role", "as turns"), what="bead over those of an island, {v}")
-kind("island that floats in a bore", METAL, _in_a_bore, subjects=("bored",),
-     what="bead in the middle of a bore, on layer {layer} alone")
-kind("contour twice", METAL, _repeated, contour=True, what="a contour laid twice")
-kind("island twice", METAL, _repeated, contour=False, what="an island laid twice")
-# fmt: on
-
-
 # -- beads too few, too short or too long --------------------------------------------------------------
 
 
@@ -162,18 +150,6 @@ def _stretched(ground: Ground, sign: float) -> list[Place]:
     text.set_words(bead.file, bead.last, "XY", end + by_mm / length * (end - start))
     ground.what = f"the last line of an island is {by_mm:+g} mm longer"
     return ground.line(bead.file, bead.last)
-
-
-# fmt: off
-kind("contour omitted", METAL, _omitted, contour=True, what="a contour is not laid")
-kind("island omitted", METAL, _omitted, contour=False, motions=3, what="an island is not laid")
-kind("short bead omitted", METAL, _omitted, contour=False, most=1, what="a bead of one motion is not laid at line {line}",
-     unseen="spots as narrow as those that it fills may stay bare")
-kind("hatch line omitted", METAL, _line_omitted, what="a hatch line and its turn are left out")
-kind("bead cut short", METAL, _stretched, (8.0,), sign=-1.0)
-kind("bead cut short a little", METAL, _stretched, (3.0,), sign=-1.0, unseen="the round end of a bead covers half its width")
-kind("bead runs on", METAL, _stretched, (8.0,), sign=1.0)
-# fmt: on
 
 
 # -- beads elsewhere -----------------------------------------------------------------------------------
@@ -256,7 +232,25 @@ def _seam_moved(ground: Ground) -> list[Place]:
     return ground.line(bead.file, bead.travel, bead.off)
 
 
+# -- the kinds -------------------------------------------------------------------------------------------
+
 # fmt: off
+kind("bead beside the part", METAL, _beside_part, ROLES, what="bead of 10 mm, 40 mm beside the part, {v}")
+kind("bead beside the part in other letters", METAL, _spelled, tuple(SPELLINGS), what="a bead beside the part, {v}")
+kind("bead across a channel", METAL, _across_channel, ROLES, subjects=("bored",), what="bead across the bore, {v}")
+kind("extra bead in an island", METAL, _over_island, ("in a role", "as turns"), what="bead over those of an island, {v}")
+kind("island that floats in a bore", METAL, _in_a_bore, subjects=("bored",),
+     what="bead in the middle of a bore, on layer {layer} alone")
+kind("contour twice", METAL, _repeated, contour=True, what="a contour laid twice")
+kind("island twice", METAL, _repeated, contour=False, what="an island laid twice")
+kind("contour omitted", METAL, _omitted, contour=True, what="a contour is not laid")
+kind("island omitted", METAL, _omitted, contour=False, motions=3, what="an island is not laid")
+kind("short bead omitted", METAL, _omitted, contour=False, most=1, what="a bead of one motion is not laid at line {line}",
+     unseen="spots as narrow as those that it fills may stay bare")
+kind("hatch line omitted", METAL, _line_omitted, what="a hatch line and its turn are left out")
+kind("bead cut short", METAL, _stretched, (8.0,), sign=-1.0)
+kind("bead cut short a little", METAL, _stretched, (3.0,), sign=-1.0, unseen="the round end of a bead covers half its width")
+kind("bead runs on", METAL, _stretched, (8.0,), sign=1.0)
 kind("contour inset", METAL, _mapped, (3.0, 0.3), by=_inward, contour=True, motions=3,
      what="a contour moved inward by {v:g} mm")
 kind("hatch turned", METAL, _mapped, (45.0, 90.0), by=_turned, contour=False, motions=4, what="an island turned by {v:g} deg",

@@ -82,20 +82,6 @@ IN_A_LAYER: dict[str, dict[str, tuple[str, ...]]] = {
 for touched, blocks in IN_A_LAYER.items():
     kind(f"{touched}, in a layer", STATE, _in_a_layer, blocks, what="{v} in a layer")
 
-# fmt: off
-kind("unknown auxiliary function", STATE, _in_a_layer, what="{v} in a layer",
-     variants={SINUMERIK: ("M77", "H9=1"), LINUXCNC: ("M64 P7", "M68 E5 Q1", "M110"), PLAIN: ("M42 P7 S1", "M80")})
-kind("end of program in a layer", STATE, _before_second_layer, ("M30", "M2"))
-kind("axis in a wait", MOTION, _moving_wait, ("X50", "Z1"))
-kind("mode along a bead", STATE, _along_a_bead, what="{v} along a bead", variants={
-    SINUMERIK: ("G641 ADIS=5", "BRISK", "G60", "G55", "G91", "M0"),
-    LINUXCNC: ("G64 P5", "G55", "G61", "G91", "M0", "%"),
-    PLAIN: ("G55", "G91", "M0", "G20", "%"),
-})
-kind("mode while it preheats", STATE, _while_it_preheats, what="{v} while it preheats", subjects=(PREHEATED.name,),
-     variants={SINUMERIK: ("G55", "G641 ADIS=5", "BRISK", "CTOL=0.5", "TRAFOOF", "M1")})
-# fmt: on
-
 
 # -- first and last blocks -----------------------------------------------------------------------------
 
@@ -174,30 +160,6 @@ def _at_the_end(ground: Ground, park: bool = False) -> list[Place]:
     return ground.line(text.main, last, len(text.files[text.main]))
 
 
-# fmt: off
-kind("mode after the modes", STATE, _at_the_start, what="{v} after the modes of the first blocks", variants={
-    SINUMERIK: ("G55", "G500", "G641 ADIS=5", "BRISK", "FFWOF", "G91", "TRANS X1", "G53"),
-    LINUXCNC: ("G55", "G64 P5", "G91", "G92 X1", "G61", "G90.1", "G41.1 D1"),
-    PLAIN: ("G55", "G91", "G92 X1", "G20"),
-})
-kind("mode missing", STATE, _replaced, what="{v} is missing", variants={
-    SINUMERIK: ("G17", "G71", "G90", "G94", "G54", "SOFT", "FFWON", "G642", "CTOL=0.05", "G40", "D0", "TRAFOOF", "TRANS", "COMPOF",
-                "RTLION"),
-    LINUXCNC: ("G17", "G21", "G90", "G91.1", "G94", "G40", "G49", "G80", "G92.1", "G54", "G64 P0.05"),
-    PLAIN: ("G17", "G21", "G90", "G94", "G40", "G49", "G80", "G92.1", "G54"),
-})
-kind("another mode", STATE, _replaced, what="{new} in place of {old}", variants={
-    SINUMERIK: (("G54", "G55"), ("G90", "G91"), ("G71", "G70"), ("G17", "G18"), ("G94", "G95"), ("G642", "G64"), ("CTOL=0.05", "CTOL=0.5")),
-    LINUXCNC: (("G54", "G55"), ("G90", "G91"), ("G21", "G20"), ("G91.1", "G90.1"), ("G64 P0.05", "G64 P0.5"), ("G94", "G93"), ("G49", "G43 H1")),
-    PLAIN: (("G54", "G55"), ("G90", "G91"), ("G21", "G20"), ("G17", "G18"), ("G94", "G93")),
-})
-kind("beam on before the first layer", STATE, _early_beam, what="the beam burns for a second before the first motion")
-kind("safe start deleted", STATE, _no_safe_start, ("beam_off", "wire_off"), what="{v} is missing at the start")
-kind("value left at the end", STATE, _at_the_end, ("power", "wire_speed", "voltage"), what="{v} is not set to zero at the end")
-kind("ends beside its park position", STATE, _at_the_end, park=True, what="the program ends at X 300 Y 300")
-# fmt: on
-
-
 # -- flow ----------------------------------------------------------------------------------------------
 
 FLOW_BLOCKS = {
@@ -273,19 +235,6 @@ def _end_of_subprogram(ground: Ground) -> list[Place]:
     return ground.line(file, i - 1, i + 1)
 
 
-# fmt: off
-kind("blocks run again", STATE, _again, {
-    SINUMERIK: ("P2", "P=2", "twice", "GOTOB", "REPEAT", "LOOP", "WHILE", "EXTCALL", "other case"),
-    LINUXCNC: ("repeat", "while", "M98", "label"),
-    PLAIN: ("M98", "M99 P1", "GOTO", "label"),
-})
-kind("subprogram in small letters", STATE, _small_letters, controls=(SINUMERIK,))
-kind("subprogram added", STATE, _subprogram_added, ("called", "not called"), controls=(SINUMERIK,), what="a further subprogram, {v}")
-kind("end of program", STATE, _end_of_program, ("deleted", "another", "a block after it"), what="M30 or M2: {v}")
-kind("end of a subprogram", STATE, _end_of_subprogram, ("deleted", "M30"), controls=(SINUMERIK,), what="M17: {v}")
-# fmt: on
-
-
 # -- words ---------------------------------------------------------------------------------------------
 
 
@@ -343,31 +292,6 @@ def _skipped(ground: Ground) -> list[Place]:
     lines = ground.text.files[bead.file]
     lines[i] = f"{'!' if ground.text.sinumerik else ''}/{lines[i]}"
     return ground.line(bead.file, i)
-
-
-# fmt: off
-kind("value that is worked out", MOTION, _instead, what="{v} in place of a motion", variants={
-    SINUMERIK: ("G1 X=R1 Y=R2", "G1 X=IC(5) Y=IC(0)", "G1 X=AC(5) Y=AC(5)", "G1 X=DC(5)", "G1 X=5*2 Y=3", "G1 X=$AA_IW[X] Y=3"),
-    LINUXCNC: ("G1 X#1 Y#2", "G1 X[5*2] Y3", "G1 X#<_x> Y3", "G1 X1 (5) Y3 [2]"),
-    PLAIN: ("G1 X#1 Y#2", "G1 X[5*2] Y3", "G1 XR1 Y3"),
-})
-kind("polar coordinates", MOTION, _instead, what="{v} in place of a motion", variants={
-    SINUMERIK: ("G1 AP=30 RP=10", "G110 X0 Y0", "G111 X5 Y5", "G0 RP=20 AP=45"),
-    LINUXCNC: ("G1 @10 ^30", "G16"),
-    PLAIN: ("G16", "G1 @10 ^30"),
-})
-kind("comment within words", MOTION, _instead, what="{v} in place of a motion", variants={
-    SINUMERIK: ("G1 X1;0 Y5", 'MSG("G1") G1 X0 Y0', 'MSG("A") M60'),
-    LINUXCNC: ("G1 X1(0)2.5 Y5", "G1 X2 (Y5", "G1 X2 (a (b) Y5)", "(MSG,x) G1 X0", "(DEBUG,#1) G1 X0 Y0"),
-    PLAIN: ("G1 X1(0)2.5 Y5", "G1 X2 (Y5", "G1 X2 (a (b) Y5)"),
-})
-kind("two words of one group", MOTION, _instead, what="{v} in place of a motion", variants=(
-    "G0 G1 X1 Y1", "G1 G0 X1 Y1", "G2 G1 X1 Y1", "G1 X1 Y1 G1 X2 Y2", "G54 G55", "G1 X--5 Y1", "G1 X1 Y1 F600 F60",
-))
-kind("mistyped word", STATE, _mistyped, tuple(TYPED))
-kind("word behind a semicolon", METAL, _hidden, ("Y", "feed", "beam off", "way"), what="{v} stands in a comment")
-kind("block that may be skipped", STATE, _skipped, ("motion", "beam off"), controls=(SINUMERIK, LINUXCNC), what="/ before a {v}")
-# fmt: on
 
 
 # -- bytes and lines -----------------------------------------------------------------------------------
@@ -437,7 +361,70 @@ def _long_block(ground: Ground) -> list[Place]:
     return ground.line(file, i)
 
 
+# -- the kinds -------------------------------------------------------------------------------------------
+
 # fmt: off
+kind("unknown auxiliary function", STATE, _in_a_layer, what="{v} in a layer",
+     variants={SINUMERIK: ("M77", "H9=1"), LINUXCNC: ("M64 P7", "M68 E5 Q1", "M110"), PLAIN: ("M42 P7 S1", "M80")})
+kind("end of program in a layer", STATE, _before_second_layer, ("M30", "M2"))
+kind("axis in a wait", MOTION, _moving_wait, ("X50", "Z1"))
+kind("mode along a bead", STATE, _along_a_bead, what="{v} along a bead", variants={
+    SINUMERIK: ("G641 ADIS=5", "BRISK", "G60", "G55", "G91", "M0"),
+    LINUXCNC: ("G64 P5", "G55", "G61", "G91", "M0", "%"),
+    PLAIN: ("G55", "G91", "M0", "G20", "%"),
+})
+kind("mode while it preheats", STATE, _while_it_preheats, what="{v} while it preheats", subjects=(PREHEATED.name,),
+     variants={SINUMERIK: ("G55", "G641 ADIS=5", "BRISK", "CTOL=0.5", "TRAFOOF", "M1")})
+kind("mode after the modes", STATE, _at_the_start, what="{v} after the modes of the first blocks", variants={
+    SINUMERIK: ("G55", "G500", "G641 ADIS=5", "BRISK", "FFWOF", "G91", "TRANS X1", "G53"),
+    LINUXCNC: ("G55", "G64 P5", "G91", "G92 X1", "G61", "G90.1", "G41.1 D1"),
+    PLAIN: ("G55", "G91", "G92 X1", "G20"),
+})
+kind("mode missing", STATE, _replaced, what="{v} is missing", variants={
+    SINUMERIK: ("G17", "G71", "G90", "G94", "G54", "SOFT", "FFWON", "G642", "CTOL=0.05", "G40", "D0", "TRAFOOF", "TRANS", "COMPOF",
+                "RTLION"),
+    LINUXCNC: ("G17", "G21", "G90", "G91.1", "G94", "G40", "G49", "G80", "G92.1", "G54", "G64 P0.05"),
+    PLAIN: ("G17", "G21", "G90", "G94", "G40", "G49", "G80", "G92.1", "G54"),
+})
+kind("another mode", STATE, _replaced, what="{new} in place of {old}", variants={
+    SINUMERIK: (("G54", "G55"), ("G90", "G91"), ("G71", "G70"), ("G17", "G18"), ("G94", "G95"), ("G642", "G64"), ("CTOL=0.05", "CTOL=0.5")),
+    LINUXCNC: (("G54", "G55"), ("G90", "G91"), ("G21", "G20"), ("G91.1", "G90.1"), ("G64 P0.05", "G64 P0.5"), ("G94", "G93"), ("G49", "G43 H1")),
+    PLAIN: (("G54", "G55"), ("G90", "G91"), ("G21", "G20"), ("G17", "G18"), ("G94", "G93")),
+})
+kind("beam on before the first layer", STATE, _early_beam, what="the beam burns for a second before the first motion")
+kind("safe start deleted", STATE, _no_safe_start, ("beam_off", "wire_off"), what="{v} is missing at the start")
+kind("value left at the end", STATE, _at_the_end, ("power", "wire_speed", "voltage"), what="{v} is not set to zero at the end")
+kind("ends beside its park position", STATE, _at_the_end, park=True, what="the program ends at X 300 Y 300")
+kind("blocks run again", STATE, _again, {
+    SINUMERIK: ("P2", "P=2", "twice", "GOTOB", "REPEAT", "LOOP", "WHILE", "EXTCALL", "other case"),
+    LINUXCNC: ("repeat", "while", "M98", "label"),
+    PLAIN: ("M98", "M99 P1", "GOTO", "label"),
+})
+kind("subprogram in small letters", STATE, _small_letters, controls=(SINUMERIK,))
+kind("subprogram added", STATE, _subprogram_added, ("called", "not called"), controls=(SINUMERIK,), what="a further subprogram, {v}")
+kind("end of program", STATE, _end_of_program, ("deleted", "another", "a block after it"), what="M30 or M2: {v}")
+kind("end of a subprogram", STATE, _end_of_subprogram, ("deleted", "M30"), controls=(SINUMERIK,), what="M17: {v}")
+kind("value that is worked out", MOTION, _instead, what="{v} in place of a motion", variants={
+    SINUMERIK: ("G1 X=R1 Y=R2", "G1 X=IC(5) Y=IC(0)", "G1 X=AC(5) Y=AC(5)", "G1 X=DC(5)", "G1 X=5*2 Y=3", "G1 X=$AA_IW[X] Y=3"),
+    LINUXCNC: ("G1 X#1 Y#2", "G1 X[5*2] Y3", "G1 X#<_x> Y3", "G1 X1 (5) Y3 [2]"),
+    PLAIN: ("G1 X#1 Y#2", "G1 X[5*2] Y3", "G1 XR1 Y3"),
+})
+kind("polar coordinates", MOTION, _instead, what="{v} in place of a motion", variants={
+    SINUMERIK: ("G1 AP=30 RP=10", "G110 X0 Y0", "G111 X5 Y5", "G0 RP=20 AP=45"),
+    LINUXCNC: ("G1 @10 ^30", "G16"),
+    PLAIN: ("G16", "G1 @10 ^30"),
+})
+kind("comment within words", MOTION, _instead, what="{v} in place of a motion", variants={
+    SINUMERIK: ("G1 X1;0 Y5", 'MSG("G1") G1 X0 Y0', 'MSG("A") M60'),
+    LINUXCNC: ("G1 X1(0)2.5 Y5", "G1 X2 (Y5", "G1 X2 (a (b) Y5)", "(MSG,x) G1 X0", "(DEBUG,#1) G1 X0 Y0"),
+    PLAIN: ("G1 X1(0)2.5 Y5", "G1 X2 (Y5", "G1 X2 (a (b) Y5)"),
+})
+kind("two words of one group", MOTION, _instead, what="{v} in place of a motion", variants=(
+    "G0 G1 X1 Y1", "G1 G0 X1 Y1", "G2 G1 X1 Y1", "G1 X1 Y1 G1 X2 Y2", "G54 G55", "G1 X--5 Y1", "G1 X1 Y1 F600 F60",
+))
+kind("mistyped word", STATE, _mistyped, tuple(TYPED))
+kind("word behind a semicolon", METAL, _hidden, ("Y", "feed", "beam off", "way"), what="{v} stands in a comment")
+kind("block that may be skipped", STATE, _skipped, ("motion", "beam off"), controls=(SINUMERIK, LINUXCNC), what="/ before a {v}")
 kind("carriage returns", RECORD, _odd_bytes, ("all", "one"))
 kind("encoding", RECORD, _odd_bytes, ("byte", "mark", "utf-16"))
 kind("control characters", RECORD, _control_character, ("NUL", "form feed", "DEL"), what="{v} at the end of a block")

@@ -58,6 +58,8 @@ class Ground:
     """What is done to the run's folder beside the text, before its hashes are made anew."""
     forge_last: bool = False
     """`forge` comes after the hashes are made anew."""
+    settings: dict[str, dict[str, Any]] = field(default_factory=dict)
+    """Settings by which the program is made anew: the fault is in them, and the names of its places are what a message names."""
     other_part: str = ""
     """Part whose file is handed to the verification of the run, and whose hash the record is given."""
 
@@ -148,7 +150,11 @@ class Kind:
     def plant(self, ground: Ground) -> list[Place]:
         """Plant the fault, and say what was planted."""
         places = self.spoil(ground, **self.where)
-        ground.what = ground.what or self.what.format(v=ground.variant, **ground.facts)
+        ground.what = (
+            f"settings {ground.settings}"
+            if ground.settings
+            else ground.what or self.what.format(v=ground.variant, **ground.facts)
+        )
         return places
 
 

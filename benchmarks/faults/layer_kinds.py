@@ -81,14 +81,6 @@ def _twice(ground: Ground) -> list[Place]:
     return ground.insert(text.main, layer.end, *text.files[text.main][layer.first : layer.end])
 
 
-# fmt: off
-kind("layers swapped", METAL, _swapped)
-kind("layer omitted", METAL, _omitted, what="layer {layer} is not laid")
-kind("last layer missing", METAL, _last_omitted, what="the last layer is missing")
-kind("layer twice", METAL, _twice, what="layer {layer} is laid twice")
-# fmt: on
-
-
 # -- layers elsewhere ----------------------------------------------------------------------------------
 
 
@@ -132,18 +124,6 @@ def _lifted(ground: Ground) -> list[Place]:
     return [Place(layer.file, layer.first + 1, layer.end) for layer in layers[first.number :]]
 
 
-# fmt: off
-UNEVEN_PARTS = ("prism", "bored", "two-spheres")
-kind("layer scaled", METAL, _mapped, (1.02, 0.98), by=lambda factor: np.eye(2) * factor, what="layer {layer} is scaled by {v:g}")
-kind("layer shifted", METAL, _mapped, (0.3, 2.0), what="layer {layer} is shifted by {v:g} mm")
-kind("layer mirrored", METAL, _mapped, by=lambda _: MIRROR, subjects=UNEVEN_PARTS, what="layer {layer} is mirrored")
-kind("layer turned", METAL, _mapped, (1.5, 90.0), by=turn, subjects=UNEVEN_PARTS, what="layer {layer} is turned by {v:g} deg")
-kind("part mirrored", METAL, _all_mirrored, subjects=("prism", "two-spheres"), what="every layer is mirrored")
-kind("layer at another height", METAL, _at_another_height, (0.3, -0.3))
-kind("layers lifted", METAL, _lifted)
-# fmt: on
-
-
 # -- metal over nothing --------------------------------------------------------------------------------
 
 
@@ -185,14 +165,6 @@ def _over_an_empty_layer(ground: Ground) -> list[Place]:
     return ground.line(layer.file, begin.travel) + ground.line(over.file, over.first - gone, over.end - gone)
 
 
-# fmt: off
-kind("body that begins in the air", METAL, _body_in_the_air, (1, 2),
-     what="a body beside the part from layer {layer} on, with nothing under it")
-kind("body over an empty layer", METAL, _over_an_empty_layer,
-     what="layer {layer} lays nothing, those over it lie in the air")
-# fmt: on
-
-
 # -- order within a layer ------------------------------------------------------------------------------
 
 
@@ -226,13 +198,6 @@ def _islands_swapped(ground: Ground) -> list[Place]:
     return _exchanged(ground, *ground.pick(found))
 
 
-# fmt: off
-kind("contours after the hatch", METAL, _contours_last, what="contours of layer {layer} come after its islands",
-     unseen="an order that changes no metal")
-kind("islands in another order", METAL, _islands_swapped, what="two islands change places", unseen="an order that changes no metal")
-# fmt: on
-
-
 # -- other programs ------------------------------------------------------------------------------------
 
 
@@ -248,8 +213,29 @@ def _another_program(ground: Ground, part: str = "", **changes: dict[str, Any]) 
     return ground.whole_program()
 
 
-# fmt: off
+# -- the kinds -------------------------------------------------------------------------------------------
+
+UNEVEN_PARTS = ("prism", "bored", "two-spheres")
 FLAT_PARTS = ("cube", "prism", "bored")
+# fmt: off
+kind("layers swapped", METAL, _swapped)
+kind("layer omitted", METAL, _omitted, what="layer {layer} is not laid")
+kind("last layer missing", METAL, _last_omitted, what="the last layer is missing")
+kind("layer twice", METAL, _twice, what="layer {layer} is laid twice")
+kind("layer scaled", METAL, _mapped, (1.02, 0.98), by=lambda factor: np.eye(2) * factor, what="layer {layer} is scaled by {v:g}")
+kind("layer shifted", METAL, _mapped, (0.3, 2.0), what="layer {layer} is shifted by {v:g} mm")
+kind("layer mirrored", METAL, _mapped, by=lambda _: MIRROR, subjects=UNEVEN_PARTS, what="layer {layer} is mirrored")
+kind("layer turned", METAL, _mapped, (1.5, 90.0), by=turn, subjects=UNEVEN_PARTS, what="layer {layer} is turned by {v:g} deg")
+kind("part mirrored", METAL, _all_mirrored, subjects=("prism", "two-spheres"), what="every layer is mirrored")
+kind("layer at another height", METAL, _at_another_height, (0.3, -0.3))
+kind("layers lifted", METAL, _lifted)
+kind("body that begins in the air", METAL, _body_in_the_air, (1, 2),
+     what="a body beside the part from layer {layer} on, with nothing under it")
+kind("body over an empty layer", METAL, _over_an_empty_layer,
+     what="layer {layer} lays nothing, those over it lie in the air")
+kind("contours after the hatch", METAL, _contours_last, what="contours of layer {layer} come after its islands",
+     unseen="an order that changes no metal")
+kind("islands in another order", METAL, _islands_swapped, what="two islands change places", unseen="an order that changes no metal")
 kind("program of another part", METAL, _another_program, part="cube", what="the program is that of the part {part}")
 kind("program of another layer height", METAL, _another_program, subjects=FLAT_PARTS, layers={"layer_height_mm": 1.25},
      what="the program is that of layers of 1.25 mm")

@@ -163,23 +163,6 @@ def _point_lost(ground: Ground) -> list[Place]:
     return ground.line(bead.file, i, max(bead.first, i + 1) + 1)
 
 
-# fmt: off
-kind("rapid through the metal", MOTION, _low, ("under the top", "at the top", "just over the top"))
-kind("retract deleted", MOTION, _no_retract, what="no retract before a long way")
-kind("every retract deleted", MOTION, _no_retracts, what="no rise at all after the first")
-kind("retract lowered everywhere", MOTION, _low_retracts, what="retracts of 0.1 mm")
-kind("X, Y and Z in one rapid", MOTION, _diagonal, what="way and descent in one block")
-kind("descent before the way", MOTION, _early_descent, what="down first, then along at the layer's height")
-kind("plunge", MOTION, _plunge, ("into the plate", "into the layer below", "a quarter of a layer"))
-kind("rapid into a clamp", MOTION, _into_clamp, what="G0 through the clamp at the layer's height")
-kind("beyond the travel limits", MOTION, _beyond, ("X", "Y", "Z"), what="beyond the limit of {v}")
-kind("feed in place of rapid", MOTION, _slow_way, what="way at the feed of the beads")
-kind("no rise at the end", MOTION, _no_end_rise, ("deleted", "stays on the part"), what="the tool stays on the part at the end")
-kind("coordinate of a way deleted", METAL, _way_word_deleted, ("X", "Y"), what="{v} is missing in the way to a bead")
-kind("place kilometres away", MOTION, _point_lost, ("contour", "hatch", "rapid"))
-# fmt: on
-
-
 # -- heights of beads ----------------------------------------------------------------------------------
 
 
@@ -232,15 +215,6 @@ def long_line(ground: Ground, least_mm: float = 3.0) -> tuple[Bead, int]:
     return ground.pick(
         [x for x in lines if re.fullmatch(straight, text.code(x[0].file, x[1])) and is_long(*x)]
     )
-
-
-# fmt: off
-kind("rapid along a bead", METAL, _rapid_in_bead, what="G0 in place of G1 in a bead")
-kind("Z along a bead", METAL, _climbing, (0.5, -0.5), what="Z changes by {v:g} mm along a bead")
-kind("Z creeps along a bead", METAL, _creeping, (0.05, -0.05), what="Z is {v:+g} mm from a motion on")
-kind("bead at another height", METAL, _at_another_height, (0.5, -0.5, 1.7))
-kind("full circle in a bead", METAL, _circle, what="a circle on the way of a bead")
-# fmt: on
 
 
 # -- slips of the hand ---------------------------------------------------------------------------------
@@ -339,21 +313,6 @@ def _word_deleted(ground: Ground) -> list[Place]:
     bead, i = ground.pick_until(lambda: ground.motion("G1 "), counts)
     text.set(bead.file, i, re.sub(rf" {axis}-?[\d.]+", "", text.code(bead.file, i)))
     return ground.line(bead.file, i, i + 2)
-
-
-# fmt: off
-kind("slip in a contour", METAL, _mistyped, ("digit", "transposed", "sign", "point"), contour=True, least_mm=LEAST_CHANGE_MM)
-kind("slip in the hatch", METAL, _mistyped, ("digit", "transposed", "sign", "point"), contour=False, least_mm=BEAD_MM)
-kind("slip in the hatch by less than a bead", METAL, _mistyped, ("digit", "transposed", "sign"),
-     contour=False, least_mm=LEAST_HATCH_MM, most_mm=BEAD_MM,
-     unseen="the metal lies within its limits where a line ends less than a bead's width away, if its bead has no lines to and fro")
-kind("hatch line 100 mm out", METAL, _far_line, ("end", "whole line"), what="X of a hatch line is 100 mm greater ({v})")
-kind("motion deleted", METAL, _motion_deleted, ("contour", "hatch"), what="a motion is missing")
-kind("motion doubled", MOTION, _motion_doubled, ("in place", "further down"), what="a motion stands twice, {v}")
-kind("motions exchanged", METAL, _motions_exchanged, what="two neighbouring motions change places")
-kind("contour left open", METAL, _left_open, what="a contour ends before its start")
-kind("coordinate deleted", METAL, _word_deleted, ("X", "Y"), what="{v} is missing in a motion")
-# fmt: on
 
 
 # -- arcs and splines ----------------------------------------------------------------------------------
@@ -461,7 +420,38 @@ def _chord(ground: Ground) -> list[Place]:
     return ground.line(bead.file, i)
 
 
+# -- the kinds -------------------------------------------------------------------------------------------
+
 # fmt: off
+kind("rapid through the metal", MOTION, _low, ("under the top", "at the top", "just over the top"))
+kind("retract deleted", MOTION, _no_retract, what="no retract before a long way")
+kind("every retract deleted", MOTION, _no_retracts, what="no rise at all after the first")
+kind("retract lowered everywhere", MOTION, _low_retracts, what="retracts of 0.1 mm")
+kind("X, Y and Z in one rapid", MOTION, _diagonal, what="way and descent in one block")
+kind("descent before the way", MOTION, _early_descent, what="down first, then along at the layer's height")
+kind("plunge", MOTION, _plunge, ("into the plate", "into the layer below", "a quarter of a layer"))
+kind("rapid into a clamp", MOTION, _into_clamp, what="G0 through the clamp at the layer's height")
+kind("beyond the travel limits", MOTION, _beyond, ("X", "Y", "Z"), what="beyond the limit of {v}")
+kind("feed in place of rapid", MOTION, _slow_way, what="way at the feed of the beads")
+kind("no rise at the end", MOTION, _no_end_rise, ("deleted", "stays on the part"), what="the tool stays on the part at the end")
+kind("coordinate of a way deleted", METAL, _way_word_deleted, ("X", "Y"), what="{v} is missing in the way to a bead")
+kind("place kilometres away", MOTION, _point_lost, ("contour", "hatch", "rapid"))
+kind("rapid along a bead", METAL, _rapid_in_bead, what="G0 in place of G1 in a bead")
+kind("Z along a bead", METAL, _climbing, (0.5, -0.5), what="Z changes by {v:g} mm along a bead")
+kind("Z creeps along a bead", METAL, _creeping, (0.05, -0.05), what="Z is {v:+g} mm from a motion on")
+kind("bead at another height", METAL, _at_another_height, (0.5, -0.5, 1.7))
+kind("full circle in a bead", METAL, _circle, what="a circle on the way of a bead")
+kind("slip in a contour", METAL, _mistyped, ("digit", "transposed", "sign", "point"), contour=True, least_mm=LEAST_CHANGE_MM)
+kind("slip in the hatch", METAL, _mistyped, ("digit", "transposed", "sign", "point"), contour=False, least_mm=BEAD_MM)
+kind("slip in the hatch by less than a bead", METAL, _mistyped, ("digit", "transposed", "sign"),
+     contour=False, least_mm=LEAST_HATCH_MM, most_mm=BEAD_MM,
+     unseen="the metal lies within its limits where a line ends less than a bead's width away, if its bead has no lines to and fro")
+kind("hatch line 100 mm out", METAL, _far_line, ("end", "whole line"), what="X of a hatch line is 100 mm greater ({v})")
+kind("motion deleted", METAL, _motion_deleted, ("contour", "hatch"), what="a motion is missing")
+kind("motion doubled", MOTION, _motion_doubled, ("in place", "further down"), what="a motion stands twice, {v}")
+kind("motions exchanged", METAL, _motions_exchanged, what="two neighbouring motions change places")
+kind("contour left open", METAL, _left_open, what="a contour ends before its start")
+kind("coordinate deleted", METAL, _word_deleted, ("X", "Y"), what="{v} is missing in a motion")
 kind("arc the other way round", METAL, _arc_reversed, subjects=ROUND_PARTS, what="G2 and G3 exchanged in an arc")
 kind("centre of an arc mirrored", METAL, _centre_mirrored, subjects=ROUND_PARTS,
      what="the centre of an arc lies on the other side of its chord")

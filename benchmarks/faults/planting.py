@@ -19,6 +19,7 @@ from benchmarks.faults import (  # noqa: F401  (each puts its kinds on the list)
     path_kinds,
     process_kinds,
     record_kinds,
+    settings_kinds,
 )
 from benchmarks.faults.judging import Said, Verdict, judged_run, judged_text, verdict
 from benchmarks.faults.kinds import KINDS, Ground, Kind, NotHereError, Place
@@ -150,13 +151,8 @@ class Planter:
     def judged(self, fault: Fault, folder: Path) -> Result:
         """Plant a fault, and verify run and text."""
         ground, made, places = self.planted(fault)
-        part = self._workshop.part(EVERY[ground.other_part]) if ground.other_part else None
-        run = verdict(judged_run(ground, made, folder, part), self._of_sound("run", made, folder), places)
-        text = Verdict(())
-        if ground.forge is None:
-            way = "commented" if fault.kind.in_comments else "bare"
-            said = judged_text(ground, made, folder, fault.kind.in_comments)
-            text = verdict(said, self._of_sound(way, made, folder), places)
+        where = "settings" if ground.settings else f"{places[0].file}:{places[0].first}"
+        run, text = self._verdicts(fault.kind, ground, made, places, folder)
         return Result.of(
             run,
             text,
@@ -167,9 +163,23 @@ class Planter:
             part=made.subject.name,
             variant="" if fault.variant is None else str(fault.variant),
             what=ground.what,
-            where=f"{places[0].file}:{places[0].first}",
+            where=where,
             unseen=fault.kind.unseen_of(fault.variant),
         )
+
+    def _verdicts(
+        self, kind: Kind, ground: Ground, made: Finished, places: list[Place], folder: Path
+    ) -> tuple[Verdict, Verdict]:
+        """What run and text say of a planted fault."""
+        if ground.settings:
+            return settings_kinds.judged_settings(ground, made, folder, places)
+        part = self._workshop.part(EVERY[ground.other_part]) if ground.other_part else None
+        run = verdict(judged_run(ground, made, folder, part), self._of_sound("run", made, folder), places)
+        if ground.forge is not None:
+            return run, Verdict(())
+        said = judged_text(ground, made, folder, kind.in_comments)
+        way = "commented" if kind.in_comments else "bare"
+        return run, verdict(said, self._of_sound(way, made, folder), places)
 
     def _of_sound(self, way: str, made: Finished, folder: Path) -> frozenset[str]:
         """Names of the checks that fail for a sound program: false alarms, which find no fault."""

@@ -93,17 +93,6 @@ def _feed_unit(ground: Ground) -> list[Place]:
     return _feeds(ground, UNITS[ground.variant], "(?:G[1235]|POLY) .*")
 
 
-# fmt: off
-kind("feed and wire halved everywhere", METAL, _halved, what="feed and wire are half of what they should be in the whole program")
-kind("volts and milliamperes exchanged", STATE, _volts_for_amperes, controls=(SINUMERIK, LINUXCNC),
-     what="120 kV and half of every current")
-kind("power everywhere", STATE, _scaled, (0.8, 1.2), quantity="power", what="power times {v:g} in the whole program")
-kind("voltage", STATE, _voltage, (1.1, 0.5), controls=(SINUMERIK, LINUXCNC), what="voltage times {v:g}")
-kind("wire speed everywhere", METAL, _scaled, (0.9, 1.1), quantity="wire_speed", what="wire times {v:g} in the whole program")
-kind("feed in another unit", METAL, _feed_unit, tuple(UNITS), what="every feed in {v}")
-# fmt: on
-
-
 # -- values of one bead --------------------------------------------------------------------------------
 
 
@@ -234,26 +223,6 @@ def _channels_exchanged(ground: Ground) -> list[Place]:
     return ground.line(bead.file, bead.travel, bead.off)
 
 
-# fmt: off
-kind("feed of one bead", METAL, _feed_of_bead, (0.5, 0.9, 1.1, 3.0), what="feed of a bead times {v:g}")
-kind("feed of part of a bead", METAL, _feed_within, (0.7, 1.5), what="feed times {v:g} from the middle of a bead on")
-kind("feed word lost", MOTION, _feed_lost, ("deleted", "zero", "a digit less"), what="F of a bead: {v}")
-kind("wire speed of one bead", METAL, _wire_of_bead, (0.5, 0.7, 1.3, 2.0, 0.0), what="wire of a bead times {v:g}")
-kind("wire speed of one bead by a tenth", METAL, _wire_of_bead, (0.9, 1.1), what="wire of a bead times {v:g}",
-     unseen="a tenth of the metal of one bead, which layers may be uneven by")
-kind("wire drawn back twice", METAL, _drawn_back_twice, ("at once", "before the next bead"), subjects=(RETRACTING.name,),
-     what="wire drawn back twice, {v}")
-kind("step of the wire deleted", METAL, _wire_step_deleted, what="a change of the wire speed is missing",
-     unseen="a share of the metal of part of a bead, which layers may be uneven by")
-kind("power of one bead", METAL, _power_of_bead, (0.5, 1.15, 2.5), what="power of a bead times {v:g}")
-kind("step of the power deleted", METAL, _power_step_deleted, what="the power of a layer is not set")
-kind("negative value", STATE, _negative, ("wire_speed", "power"), what="{v} of a bead is negative")
-kind("spike along a bead", METAL, _spike, ("wire_speed", "power"), what="{block} before a motion of a bead")
-kind("channels exchanged", STATE, _channels_exchanged, controls=(SINUMERIK, LINUXCNC),
-     what="current and wire of a bead are exchanged")
-# fmt: on
-
-
 # -- switches and their order --------------------------------------------------------------------------
 
 
@@ -330,17 +299,6 @@ def _on_at_the_end(ground: Ground) -> list[Place]:
     return places + ([Place(text.main, 1, len(text.files[text.main]))] if text.sinumerik else [])
 
 
-# fmt: off
-kind("switch deleted", METAL, _switch_deleted, ("beam_on", "beam_off", "wire_on", "wire_off"), what="{v} is missing")
-kind("switch late or early", METAL, _switch_moved,
-     ("beam off late", "wire off late", "beam on late", "wire on late", "beam off early"))
-kind("order of switches", STATE, _switch_order,
-     ("wire on before beam on", "beam off before wire off", "wire speed after wire on", "power after beam on"))
-kind("switched twice", STATE, _switched_twice, ("beam_on", "wire_on"), what="{v} twice")
-kind("beam left on at the end", STATE, _on_at_the_end, what="the last beam off is missing")
-# fmt: on
-
-
 # -- waits ---------------------------------------------------------------------------------------------
 
 
@@ -400,7 +358,39 @@ def _low_wait(ground: Ground) -> list[Place]:
     return ground.line(bead.file, i, k + 1)
 
 
+# -- the kinds -------------------------------------------------------------------------------------------
+
 # fmt: off
+kind("feed and wire halved everywhere", METAL, _halved, what="feed and wire are half of what they should be in the whole program")
+kind("volts and milliamperes exchanged", STATE, _volts_for_amperes, controls=(SINUMERIK, LINUXCNC),
+     what="120 kV and half of every current")
+kind("power everywhere", STATE, _scaled, (0.8, 1.2), quantity="power", what="power times {v:g} in the whole program")
+kind("voltage", STATE, _voltage, (1.1, 0.5), controls=(SINUMERIK, LINUXCNC), what="voltage times {v:g}")
+kind("wire speed everywhere", METAL, _scaled, (0.9, 1.1), quantity="wire_speed", what="wire times {v:g} in the whole program")
+kind("feed in another unit", METAL, _feed_unit, tuple(UNITS), what="every feed in {v}")
+kind("feed of one bead", METAL, _feed_of_bead, (0.5, 0.9, 1.1, 3.0), what="feed of a bead times {v:g}")
+kind("feed of part of a bead", METAL, _feed_within, (0.7, 1.5), what="feed times {v:g} from the middle of a bead on")
+kind("feed word lost", MOTION, _feed_lost, ("deleted", "zero", "a digit less"), what="F of a bead: {v}")
+kind("wire speed of one bead", METAL, _wire_of_bead, (0.5, 0.7, 1.3, 2.0, 0.0), what="wire of a bead times {v:g}")
+kind("wire speed of one bead by a tenth", METAL, _wire_of_bead, (0.9, 1.1), what="wire of a bead times {v:g}",
+     unseen="a tenth of the metal of one bead, which layers may be uneven by")
+kind("wire drawn back twice", METAL, _drawn_back_twice, ("at once", "before the next bead"), subjects=(RETRACTING.name,),
+     what="wire drawn back twice, {v}")
+kind("step of the wire deleted", METAL, _wire_step_deleted, what="a change of the wire speed is missing",
+     unseen="a share of the metal of part of a bead, which layers may be uneven by")
+kind("power of one bead", METAL, _power_of_bead, (0.5, 1.15, 2.5), what="power of a bead times {v:g}")
+kind("step of the power deleted", METAL, _power_step_deleted, what="the power of a layer is not set")
+kind("negative value", STATE, _negative, ("wire_speed", "power"), what="{v} of a bead is negative")
+kind("spike along a bead", METAL, _spike, ("wire_speed", "power"), what="{block} before a motion of a bead")
+kind("channels exchanged", STATE, _channels_exchanged, controls=(SINUMERIK, LINUXCNC),
+     what="current and wire of a bead are exchanged")
+kind("switch deleted", METAL, _switch_deleted, ("beam_on", "beam_off", "wire_on", "wire_off"), what="{v} is missing")
+kind("switch late or early", METAL, _switch_moved,
+     ("beam off late", "wire off late", "beam on late", "wire on late", "beam off early"))
+kind("order of switches", STATE, _switch_order,
+     ("wire on before beam on", "beam off before wire off", "wire speed after wire on", "power after beam on"))
+kind("switched twice", STATE, _switched_twice, ("beam_on", "wire_on"), what="{v} twice")
+kind("beam left on at the end", STATE, _on_at_the_end, what="the last beam off is missing")
 kind("wait of no sense", STATE, _wait, ("negative", "a day"), what="a wait of {seconds:g} s: {v}")
 kind("wait shortened", STATE, _wait, ("deleted", "a tenth"), what="a wait of {seconds:g} s: {v}",
      unseen="a part that stays under its limit all the same needs no such wait")

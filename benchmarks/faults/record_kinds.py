@@ -89,21 +89,6 @@ def _name(ground: Ground) -> list[Place]:
     return ground.line(layer.file, 0)
 
 
-# fmt: off
-kind("header says not validated", RECORD, _not_validated, in_comments=True, what="NOT VALIDATED in {v}",
-     variants={c: ("every file", "one file") if c == SINUMERIK else ("every file",) for c in CONTROLS},
-     unseen="whether a program was validated is no property of its text: one from `post` says so rightly until a run proves it, and nobody runs it",
-     unseen_variants=("every file",))
-kind("header without a status", RECORD, _no_status, in_comments=True, what="no status")
-kind("header of another run", RECORD, _header, tuple(HEADERS), in_comments=True,
-     unseen="who verifies a text alone may give other settings than those that it was made with: the check tells it, and is no fault",
-     unseen_variants=("SETTINGS SHA-256",))
-kind("layer comment of another layer", RECORD, _layer_comment, tuple(LAYER_COMMENT), in_comments=True, what="{v} of a layer's comment")
-kind("$PATH", RECORD, _path, ("another", "missing"), controls=(SINUMERIK,), what="$PATH {v}")
-kind("name in the header", RECORD, _name, controls=(SINUMERIK,), what="the first line names another program")
-# fmt: on
-
-
 # -- record and certificate ----------------------------------------------------------------------------
 
 Change = Callable[[dict[str, Any]], object]
@@ -193,7 +178,20 @@ def _relabelled(ground: Ground) -> list[Place]:
     return [*PAPERS, Place(f"{ground.other_part}.stl", 1, 1)]
 
 
+# -- the kinds -------------------------------------------------------------------------------------------
+
 # fmt: off
+kind("header says not validated", RECORD, _not_validated, in_comments=True, what="NOT VALIDATED in {v}",
+     variants={c: ("every file", "one file") if c == SINUMERIK else ("every file",) for c in CONTROLS},
+     unseen="whether a program was validated is no property of its text: one from `post` says so rightly until a run proves it, and nobody runs it",
+     unseen_variants=("every file",))
+kind("header without a status", RECORD, _no_status, in_comments=True, what="no status")
+kind("header of another run", RECORD, _header, tuple(HEADERS), in_comments=True,
+     unseen="who verifies a text alone may give other settings than those that it was made with: the check tells it, and is no fault",
+     unseen_variants=("SETTINGS SHA-256",))
+kind("layer comment of another layer", RECORD, _layer_comment, tuple(LAYER_COMMENT), in_comments=True, what="{v} of a layer's comment")
+kind("$PATH", RECORD, _path, ("another", "missing"), controls=(SINUMERIK,), what="$PATH {v}")
+kind("name in the header", RECORD, _name, controls=(SINUMERIK,), what="the first line names another program")
 kind("forged record", RECORD, _forged_record, {c: tuple(FORGED)[k::3] for k, c in enumerate(CONTROLS)},
      what="run.json: {v}, sealed again", unseen="the record of the run is not part of the program")
 kind("forged certificate", RECORD, _forged_certificate, {c: tuple(CERTIFIED)[k::3] for k, c in enumerate(CONTROLS)},
