@@ -96,16 +96,23 @@ def test_the_square_is_sound(square):
     assert square.failed() == set()
 
 
-def test_too_much_wire_is_found(square):
-    def more(lines):
-        for i, line in enumerate(lines):
-            lines[i] = re.sub(r"H3=([\d.]+)", lambda m: f"H3={1.05 * float(m[1]):.6f}", line)
+def wire_times(factor):
+    """Edit of a file: all of its wire speeds, multiplied."""
 
-    square.edit(LAYER, more)
+    def change(lines):
+        lines[:] = [
+            re.sub(r"H3=([\d.]+)", lambda m: f"H3={factor * float(m[1]):.6f}", line) for line in lines
+        ]
+
+    return change
+
+
+def test_too_much_wire_is_found(square):
+    square.edit(LAYER, wire_times(1.05))
     assert square.checks()["metal of layers"].where.startswith(LAYER)
     assert "metal of layers" in square.failed()
     for k in (1, 2, 4, 5, 6):
-        square.edit(f"MAIN_L{k:04d}.SPF", more)
+        square.edit(f"MAIN_L{k:04d}.SPF", wire_times(1.05))
     assert {"metal", "metal of layers"} <= square.failed()
     assert not deposit_gate(square.checks().values(), square.config).passed
 
@@ -206,11 +213,7 @@ def test_the_width_of_a_hole_is_that_of_its_widest_place(square):
 
 @pytest.mark.parametrize(("factor", "code"), [(1.2, "metal-excess"), (0.8, "metal-missing")])
 def test_findings_tell_too_much_metal_from_too_little(square, factor, code):
-    def change(lines):
-        for i, line in enumerate(lines):
-            lines[i] = re.sub(r"H3=([\d.]+)", lambda m: f"H3={factor * float(m[1]):.6f}", line)
-
-    square.edit(LAYER, change)
+    square.edit(LAYER, wire_times(factor))
     assert code in {finding.code for finding in metal_findings(square.checks().values())}
 
 
@@ -219,13 +222,8 @@ def test_the_mass_of_a_small_part_tells_too_much_from_too_little(tmp_path, facto
     """Four grams in kilograms with three decimals are the same on both sides."""
     small = Made(tmp_path, shapely.box(0, 0, 20, 20), layers=2)
     small.config = small.config.changed(material={"density_kg_m3": 1000.0})
-
-    def change(lines):
-        for i, line in enumerate(lines):
-            lines[i] = re.sub(r"H3=([\d.]+)", lambda m: f"H3={factor * float(m[1]):.6f}", line)
-
     for k in (1, 2):
-        small.edit(f"MAIN_L{k:04d}.SPF", change)
+        small.edit(f"MAIN_L{k:04d}.SPF", wire_times(factor))
     whole = small.checks()["metal"]
     assert not whole.passed
     laid, wanted = (float(kg) for kg in re.findall(r"([\d.]+) kg", whole.text))

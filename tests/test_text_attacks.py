@@ -1,4 +1,4 @@
-"""What a program's text shows without plan and comments: the form of the hatch, foreign calls, waits, windows, odd bytes."""
+"""What a program's text shows without plan and comments: the form of the hatch, wire of single beads, windows."""
 
 from __future__ import annotations
 
@@ -24,13 +24,6 @@ SPACING_MM = 4.32
 
 
 # -- the form of a hatch ------------------------------------------------------------------------------
-
-
-CONTROLS = [
-    "sinumerik-840d-sl",
-    *(pytest.param(name, marks=pytest.mark.slow) for name in ("linuxcnc", "plain-gcode")),
-]
-"""All of them are tried; one of them in the quick tests."""
 
 
 def form(points):
@@ -145,17 +138,6 @@ def spoiled(made, tmp_path, control, change, config=None):
     return {c.name: c for c in checks if not c.passed}
 
 
-def edited(pattern, by, nth=1):
-    """Change that puts other text in the place of the nth match, in the main program of one file."""
-
-    def change(texts):
-        name, text = next(iter(texts.items()))
-        found = list(re.finditer(pattern, text, re.MULTILINE))[nth]
-        return {name: text[: found.start()] + found.expand(by) + text[found.end() :]}
-
-    return change
-
-
 def test_other_settings_than_those_of_the_program_are_told_and_no_fault(made, tmp_path):
     run, part, config = made("linuxcnc")
     other = config.changed(process={"mass_tolerance": 0.021})
@@ -211,10 +193,13 @@ def test_a_way_may_name_one_axis_where_beads_do(made, tmp_path):
 
 
 def test_a_way_to_a_bead_that_is_missing_is_found(made, tmp_path):
-    change = edited(r"^G0 X.*\n(?=G0 Z.*\n(?:M42|M3|S))", "", nth=2)
-    assert (
-        "the way to it is missing" in spoiled(made, tmp_path, "plain-gcode", change)["words of motions"].text
-    )
+    def change(texts):
+        name, text = next(iter(texts.items()))
+        ways = list(re.finditer(r"^G0 X.*\n(?=G0 Z.*\n(?:M42|M3|S))", text, re.MULTILINE))
+        return {name: text[: ways[2].start()] + text[ways[2].end() :]}
+
+    found = spoiled(made, tmp_path, "plain-gcode", change)["words of motions"]
+    assert "the way to it is missing" in found.text
 
 
 # -- windows ----------------------------------------------------------------------------------------------

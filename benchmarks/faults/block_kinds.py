@@ -56,10 +56,6 @@ def _while_it_preheats(ground: Ground) -> list[Place]:
     return ground.insert(scan, ground.pick(text.find(text.codes.beam_on, scan)), ground.variant)
 
 
-def _moving_wait(ground: Ground) -> list[Place]:
-    return _before_second_layer(ground, f"{ground.text.pause(2.0)} {ground.variant}")
-
-
 IN_A_LAYER: dict[str, dict[str, tuple[str, ...]]] = {
     "work offset": {SINUMERIK: ("G55", "G500", "G53"), LINUXCNC: ("G55", "G92 X1", "G10 L2 P1 X1"), PLAIN: ("G55", "G92 X0", "G92 E0 X5")},
     "plane": {SINUMERIK: ("G18", "G19"), LINUXCNC: ("G18",), PLAIN: ("G18", "G19")},
@@ -367,7 +363,7 @@ def _long_block(ground: Ground) -> list[Place]:
 kind("unknown auxiliary function", STATE, _in_a_layer, what="{v} in a layer",
      variants={SINUMERIK: ("M77", "H9=1"), LINUXCNC: ("M64 P7", "M68 E5 Q1", "M110"), PLAIN: ("M42 P7 S1", "M80")})
 kind("end of program in a layer", STATE, _before_second_layer, ("M30", "M2"))
-kind("axis in a wait", MOTION, _moving_wait, ("X50", "Z1"))
+kind("axis in a wait", MOTION, lambda g: _before_second_layer(g, f"{g.text.pause(2.0)} {g.variant}"), ("X50", "Z1"))
 kind("mode along a bead", STATE, _along_a_bead, what="{v} along a bead", variants={
     SINUMERIK: ("G641 ADIS=5", "BRISK", "G60", "G55", "G91", "M0"),
     LINUXCNC: ("G64 P5", "G55", "G61", "G91", "M0", "%"),

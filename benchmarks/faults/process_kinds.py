@@ -72,25 +72,12 @@ def _of_bead(ground: Ground, quantity: str, bead: Bead) -> list[Line]:
 # -- all over ------------------------------------------------------------------------------------------
 
 
-def _halved(ground: Ground) -> list[Place]:
-    """The same metal at half the feed: twice the line energy."""
-    return _feeds(ground, 0.5) + _scaled(ground, "wire_speed", 0.5)
-
-
-def _volts_for_amperes(ground: Ground) -> list[Place]:
-    return _scaled(ground, "voltage", 2.0) + _scaled(ground, "power", 0.5)
-
-
 def _voltage(ground: Ground) -> list[Place]:
     first = ground.text.beads()[0]
     return _scaled(ground, "voltage") + ground.line(first.file, first.travel, first.first + 1)
 
 
 UNITS = {"mm/s": 1.0 / 60.0, "inch/min": 1.0 / 25.4, "m/min": 1e-3}
-
-
-def _feed_unit(ground: Ground) -> list[Place]:
-    return _feeds(ground, UNITS[ground.variant], "(?:G[1235]|POLY) .*")
 
 
 # -- values of one bead --------------------------------------------------------------------------------
@@ -361,13 +348,14 @@ def _low_wait(ground: Ground) -> list[Place]:
 # -- the kinds -------------------------------------------------------------------------------------------
 
 # fmt: off
-kind("feed and wire halved everywhere", METAL, _halved, what="feed and wire are half of what they should be in the whole program")
-kind("volts and milliamperes exchanged", STATE, _volts_for_amperes, controls=(SINUMERIK, LINUXCNC),
-     what="120 kV and half of every current")
+kind("feed and wire halved everywhere", METAL, lambda g: _feeds(g, 0.5) + _scaled(g, "wire_speed", 0.5),
+     what="feed and wire are half of what they should be in the whole program")
+kind("volts and milliamperes exchanged", STATE, lambda g: _scaled(g, "voltage", 2.0) + _scaled(g, "power", 0.5),
+     controls=(SINUMERIK, LINUXCNC), what="120 kV and half of every current")
 kind("power everywhere", STATE, _scaled, (0.8, 1.2), quantity="power", what="power times {v:g} in the whole program")
 kind("voltage", STATE, _voltage, (1.1, 0.5), controls=(SINUMERIK, LINUXCNC), what="voltage times {v:g}")
 kind("wire speed everywhere", METAL, _scaled, (0.9, 1.1), quantity="wire_speed", what="wire times {v:g} in the whole program")
-kind("feed in another unit", METAL, _feed_unit, tuple(UNITS), what="every feed in {v}")
+kind("feed in another unit", METAL, lambda g: _feeds(g, UNITS[g.variant], "(?:G[1235]|POLY) .*"), tuple(UNITS), what="every feed in {v}")
 kind("feed of one bead", METAL, _feed_of_bead, (0.5, 0.9, 1.1, 3.0), what="feed of a bead times {v:g}")
 kind("feed of part of a bead", METAL, _feed_within, (0.7, 1.5), what="feed times {v:g} from the middle of a bead on")
 kind("feed word lost", MOTION, _feed_lost, ("deleted", "zero", "a digit less"), what="F of a bead: {v}")

@@ -31,10 +31,6 @@ def _not_validated(ground: Ground) -> list[Place]:
     return [place for file in some for place in _status_line(ground, file, "NOT VALIDATED")]
 
 
-def _no_status(ground: Ground) -> list[Place]:
-    return _status_line(ground, ground.pick(list(ground.text.files)), "RELEASED")
-
-
 HEADERS = {
     "PART SHA-256": "", "SETTINGS SHA-256": "", "LAYERS": "99", "CONTROL": "FANUC 31i", "BEAM": "600 W (60 kV, 10 mA)",
     "WIRE": "Al, 3.2 mm, by hand", "COORDINATES": "X Y of the machine, inches", "CURVES": "lines, within 1 mm",
@@ -185,7 +181,7 @@ kind("header says not validated", RECORD, _not_validated, in_comments=True, what
      variants={c: ("every file", "one file") if c == SINUMERIK else ("every file",) for c in CONTROLS},
      unseen="whether a program was validated is no property of its text: one from `post` says so rightly until a run proves it, and nobody runs it",
      unseen_variants=("every file",))
-kind("header without a status", RECORD, _no_status, in_comments=True, what="no status")
+kind("header without a status", RECORD, lambda g: _status_line(g, g.pick(list(g.text.files)), "RELEASED"), in_comments=True, what="no status")
 kind("header of another run", RECORD, _header, tuple(HEADERS), in_comments=True,
      unseen="who verifies a text alone may give other settings than those that it was made with: the check tells it, and is no fault",
      unseen_variants=("SETTINGS SHA-256",))
