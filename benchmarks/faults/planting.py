@@ -208,10 +208,13 @@ class Results:
         )
         if not path.is_file():
             try:
-                row = asdict(judge())
+                known = asdict(judge())
             except NotHereError:
-                row = None
+                known = None
             with replacing(path) as temporary:
-                temporary.write_text(json.dumps(row), encoding="utf-8")
-        row = json.loads(path.read_text(encoding="utf-8"))
-        return row and Result(**{k: tuple(v) if isinstance(v, list) else v for k, v in row.items()})
+                temporary.write_text(json.dumps(known), encoding="utf-8")
+        row: dict[str, Any] | None = json.loads(path.read_text(encoding="utf-8"))
+        if row is None:
+            return None
+        values: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in row.items()}
+        return Result(**values)

@@ -168,9 +168,9 @@ def _power_step_deleted(ground: Ground) -> list[Place]:
     file, i = ground.pick(found)
     text.delete(file, i)
     if text.control == PLAIN:  # M3 carries the power, too: let it go on at the one before
-        before = [v for (_, k), v in _numbers(ground, text.codes.power).items() if k < i]
+        known = [v for (_, k), v in _numbers(ground, text.codes.power).items() if k < i]
         for k in text.find(text.codes.beam_on, file, i):
-            text.set(file, k, f"M3 S{before[-1] if before else 7200:g}")
+            text.set(file, k, f"M3 S{known[-1] if known else 7200:g}")
     return ground.line(file, i - 1, text.find(text.codes.beam_on, file, i)[0] + 12)
 
 

@@ -9,7 +9,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from benchmarks.faults.kinds import CONTROLS, PLAIN, RECORD, SINUMERIK, Ground, NotHereError, Place, kind
+from benchmarks.faults.kinds import PLAIN, RECORD, SINUMERIK, Ground, NotHereError, Place, kind
+from benchmarks.faults.subjects import CONTROLS
 from ebamcheck.record.certificate import seal
 
 # -- comments at the head ------------------------------------------------------------------------------
