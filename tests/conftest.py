@@ -21,7 +21,7 @@ settings.load_profile("repeatable")
 LONGEST_FIRST = (
     "test_live_server.py", "test_live_opcua.py", "test_conformance.py", "test_witnesses.py", "test_laws.py",
     "test_documentation.py", "test_interrupted_runs.py", "test_bounds.py", "test_benchmarks.py", "test_slabs.py",
-    "test_motion_faults.py", "test_faults.py", "test_live_opcua_access.py", "test_kernels.py", "test_models.py",
+    "test_honest_programs.py", "test_faults.py", "test_live_opcua_access.py", "test_kernels.py", "test_models.py",
     "test_diagnosis.py", "test_surface_curves.py", "test_machine_state.py", "test_cli.py", "test_enemies.py", "test_isolation.py",
     "test_pipeline.py", "test_regression.py", "test_scan_command.py", "test_interpass.py",
     "test_partitions.py", "test_preheated_layers.py", "test_exact_surfaces.py",

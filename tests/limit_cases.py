@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 import shapely
-from motion_faults import made
 from nc_stack import make_curves, make_plan
+from small_parts import made
 
 from ebamcheck.layers.stack import from_polygons
 from ebamcheck.nc.motions import STRAIGHT, NCProgram

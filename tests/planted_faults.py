@@ -5,43 +5,12 @@ from __future__ import annotations
 import re
 
 from nc_stack import stack
+from program_text import Text
 
 from ebamcheck.program import verify_file, write_program
 from ebamcheck.settings.config import Config
 
 MAIN, FIRST, SECOND = "MAIN.MPF", "MAIN_L0001.SPF", "MAIN_L0002.SPF"
-
-
-class Text:
-    """The lines of a program's files, to plant faults in."""
-
-    def __init__(self, folder):
-        self.folder = folder
-        self.lines = {p.name: p.read_text().split("\n") for p in sorted(folder.iterdir())}
-
-    def find(self, name, pattern, nth=0):
-        """Index of the nth line that holds the pattern."""
-        return [i for i, line in enumerate(self.lines[name]) if re.search(pattern, line)][nth]
-
-    def edit(self, name, pattern, replacement, nth=0):
-        """Replace within one line; give its place."""
-        i = self.find(name, pattern, nth)
-        changed = re.sub(pattern, replacement, self.lines[name][i], count=1)
-        assert changed != self.lines[name][i]
-        self.lines[name][i] = changed
-        return f"{name}:{i + 1}"
-
-    def drop(self, name, pattern, nth=0):
-        """Delete one line; give its place."""
-        i = self.find(name, pattern, nth)
-        del self.lines[name][i]
-        return f"{name}:{i + 1}"
-
-    def save(self):
-        for path in self.folder.iterdir():
-            path.unlink()
-        for name, lines in self.lines.items():
-            (self.folder / name).write_text("\n".join(lines))
 
 
 def planted(tmp_path, plant, machine=None):
@@ -56,30 +25,42 @@ def planted(tmp_path, plant, machine=None):
     return {c.name: c for c in checks if not c.passed}, where
 
 
-def dropped_layer(text):
-    del text.lines[SECOND]
-    return text.drop(MAIN, r" MAIN_L0002$")
+def edit(name, pattern, replacement, nth=0):
+    return lambda text: text.edit(name, pattern, replacement, nth)
 
 
-def dropped_call(text):
-    text.drop(MAIN, r" MAIN_L0002$")
-    return f"{MAIN}:{text.find(MAIN, 'MAIN_L0003') + 1}"
+def drop(name, pattern, nth=0):
+    return lambda text: text.drop(name, pattern, nth)
+
+
+def told_at(name, pattern, plant, nth=0, shift=0, column=""):
+    """The fault is named at another line than that where it is planted: at one that holds a pattern then."""
+
+    def planted_there(text):
+        plant(text)
+        return f"{name}:{text.find(name, pattern, nth) + 1 + shift}{column}"
+
+    return planted_there
+
+
+def swap(name, first, second):
+    return lambda text: text.swap(name, text.find(name, first), text.find(name, second))
+
+
+def without(name, plant=lambda text: ""):
+    """One file less, and another fault."""
+
+    def planted_less(text):
+        del text.lines[name]
+        return plant(text)
+
+    return planted_less
 
 
 def layer_twice(text):
     i = text.find(MAIN, r" MAIN_L0002$")
     text.lines[MAIN].insert(i + 1, "N85 MAIN_L0002")
     return f"{MAIN}:{i + 2}"
-
-
-def missing_file(text):
-    del text.lines[SECOND]
-    return f"{MAIN}:{text.find(MAIN, 'MAIN_L0002') + 1}:6"
-
-
-def later_rapid(text):
-    text.drop(FIRST, r"M61 ; beam off")
-    return f"{FIRST}:{text.find(FIRST, 'G0 ', nth=3) + 1}"
 
 
 def cut_off(name, share):
@@ -94,16 +75,6 @@ def cut_off(name, share):
 def no_last_line_feed(text):
     assert text.lines[SECOND].pop() == ""
     return f"{SECOND}:{len(text.lines[SECOND])}"
-
-
-def swapped_lines(name, first, second):
-    def plant(text):
-        i, j = text.find(name, first), text.find(name, second)
-        a, b = (text.lines[name][k].split(" ", 1) for k in (i, j))
-        text.lines[name][i], text.lines[name][j] = f"{a[0]} {b[1]}", f"{b[0]} {a[1]}"
-        return f"{name}:{min(i, j) + 1}"
-
-    return plant
 
 
 def swapped_layers(text):
@@ -123,15 +94,9 @@ def swapped_islands(text):
     lines = text.lines[FIRST]
     i, j, k = (text.find(FIRST, rf"; ISLAND {n}$") for n in (0, 1, 2))
     lines[i:k] = lines[j:k] + lines[i:j]
-    for n, line in enumerate(lines[i:k], start=i):
-        lines[n] = re.sub(r"^N\d+", f"N{5000 + 10 * (n - i)}", line)
-    for n in range(k, len(lines)):
-        lines[n] = re.sub(r"^N\d+", f"N{9000 + 10 * (n - k)}", lines[n])
-    return f"{FIRST}:{text.find(FIRST, 'G1', nth=text_before(lines, i)) + 1}"
-
-
-def text_before(lines, i):
-    return sum("G1" in line for line in lines[:i])
+    for n in range(i, len(lines)):
+        lines[n] = re.sub(r"^N\d+", f"N{5000 + 10 * (n - i)}", lines[n])
+    return f"{FIRST}:{text.find(FIRST, 'G1', begin=i) + 1}"
 
 
 def dropped_island(text):
@@ -162,43 +127,27 @@ def shifted_layer(text):
     return SECOND
 
 
-def long_block(text):
-    return text.edit(FIRST, "$", f" ; {'x' * 220}", nth=8)
-
-
 def other_layer_height(text):
-    i = text.find(SECOND, r"G0 Z3\.0")
-    for name_line in [n for n, line in enumerate(text.lines[SECOND]) if "G0 Z3.0" in line]:
-        text.lines[SECOND][name_line] = text.lines[SECOND][name_line].replace("Z3.0", "Z3.1")
-    assert i
+    text.lines[SECOND] = [line.replace("G0 Z3.0", "G0 Z3.1") for line in text.lines[SECOND]]
     return f"{MAIN}:{text.find(MAIN, ' MAIN_L0002') + 1}"
 
 
-def edit(name, pattern, replacement, nth=0):
-    return lambda text: text.edit(name, pattern, replacement, nth)
+def tenth_more(m):
+    return f"{m[1]}{(int(m[2]) + 1) % 10}"
 
 
-def drop(name, pattern, nth=0):
-    return lambda text: text.drop(name, pattern, nth)
-
-
-def line_before(plant):
-    """The fault is named at the line before the one that is missing."""
-
-    def planted_before(text):
-        name, line = plant(text).split(":")
-        return f"{name}:{int(line) - 1}"
-
-    return planted_before
+def ring_left_open(text):
+    before = text.lines[FIRST][: text.find(FIRST, "M63", nth=1)]
+    return text.edit(FIRST, r"(Y-?\d+\.)(\d)", tenth_more, sum(" Y" in line for line in before) - 1)
 
 
 FAULTS = {
     # -- structure
-    "dropped layer": (dropped_layer, "layer count"),
-    "dropped layer, its file left": (dropped_call, "layer heights"),
-    "uncalled subprogram": (dropped_call, "subprograms"),
+    "dropped layer": (without(SECOND, drop(MAIN, r" MAIN_L0002$")), "layer count"),
+    "dropped layer, its file left": (told_at(MAIN, "MAIN_L0003", drop(MAIN, r" MAIN_L0002$")), "layer heights"),
+    "uncalled subprogram": (told_at(MAIN, "MAIN_L0003", drop(MAIN, r" MAIN_L0002$")), "subprograms"),
     "layer twice": (layer_twice, "subprograms"),
-    "missing file": (missing_file, "readable"),
+    "missing file": (told_at(MAIN, "MAIN_L0002", without(SECOND), column=":6"), "readable"),
     "truncated subprogram": (cut_off(SECOND, 0.5), "end of program"),
     "truncated main program": (cut_off(MAIN, 0.98), "end of program"),
     "no last line feed": (no_last_line_feed, "end of program"),
@@ -207,49 +156,28 @@ FAULTS = {
     "number twice": (edit(FIRST, r"^N200 ", "N190 "), "block numbers"),
     "wrong name in the header": (edit(FIRST, "L0001", "L0007"), "names and headers"),
     "no path": (edit(FIRST, r"^;\$PATH=", "; PATH "), "names and headers"),
-    "long block": (long_block, "block length"),
+    "long block": (edit(FIRST, "$", f" ; {'x' * 220}", 8), "block length"),
     # -- words
-    "unknown word": (lambda text: text.edit(FIRST, r"(G1 X)", r"G5 X", nth=2) + ":6", "readable"),
-    "letter for a digit": (lambda text: text.edit(FIRST, r" Y(-?\d)\d", r" Y\1O", nth=4), "readable"),
-    "comma for a point": (lambda text: text.edit(FIRST, r"(G1 X-?\d+)\.", r"\1,", nth=3) + ":", "readable"),
+    "unknown word": (edit(FIRST, r"(G1 X)", r"G5 X", 2), "readable"),
+    "letter for a digit": (edit(FIRST, r" Y(-?\d)\d", r" Y\1O", 4), "readable"),
+    "comma for a point": (edit(FIRST, r"(G1 X-?\d+)\.", r"\1,", 3), "readable"),
     "block twice": (block_twice, "repeated blocks"),
     "swapped layers": (swapped_layers, "layer heights"),
-    "another PL": (lambda text: text.edit(FIRST, r"(POLY .*PL=)1", r"\g<1>2", nth=1), "polynomial blocks"),
+    "another PL": (edit(FIRST, r"(POLY .*PL=)1", r"\g<1>2", 1), "polynomial blocks"),
     # -- machine state
-    "missing beam-off": (later_rapid, "beam"),
-    "missing beam-on": (
-        lambda text: (text.drop(FIRST, "M60"), f"{FIRST}:{text.find(FIRST, 'POLY') + 1}")[1],
-        "beam",
-    ),
+    "missing beam-off": (told_at(FIRST, "G0 ", drop(FIRST, r"M61 ; beam off"), 3), "beam"),
+    "missing beam-on": (told_at(FIRST, "POLY", drop(FIRST, "M60")), "beam"),
     "G0 for G1": (edit(FIRST, r"G1 (X.* ; TURN)", r"G0 \1"), "beam"),
-    "missing wire stop": (
-        lambda text: (text.drop(FIRST, "M63"), f"{FIRST}:{text.find(FIRST, 'G0', nth=3) + 1}")[1],
-        "wire",
-    ),
-    "beam off before wire": (
-        lambda text: swapped_lines(FIRST, "M63", "M61")(text),
-        "wire",
-    ),
-    "missing wire start": (
-        lambda text: (text.drop(FIRST, "M62"), f"{FIRST}:{text.find(FIRST, 'POLY') + 1}")[1],
-        "wire",
-    ),
+    "missing wire stop": (told_at(FIRST, "G0", drop(FIRST, "M63"), 3), "wire"),
+    "beam off before wire": (swap(FIRST, "M63", "M61"), "wire"),
+    "missing wire start": (told_at(FIRST, "POLY", drop(FIRST, "M62")), "wire"),
     "feed 0": (edit(FIRST, "F600", "F0"), "feed"),
-    "feed too high": (edit(SECOND, "F600", "F6000", nth=2), "feed"),
+    "feed too high": (edit(SECOND, "F600", "F6000", 2), "feed"),
     "current over the limit": (edit(MAIN, "H2=120", "H2=300"), "process values"),
-    "current under the one set": (
-        lambda text: (text.edit(FIRST, "H2=120", "H2=100"), f"{FIRST}:{text.find(FIRST, 'POLY') + 1}")[1],
-        "power",
-    ),
-    "half the wire": (
-        lambda text: (
-            text.edit(FIRST, r"H3=\d+", "H3=15"),
-            f"{FIRST}:{text.find(FIRST, 'POLY') + 1}",
-        )[1],
-        "mass balance",
-    ),
+    "current under the one set": (told_at(FIRST, "POLY", edit(FIRST, "H2=120", "H2=100")), "power"),
+    "half the wire": (told_at(FIRST, "POLY", edit(FIRST, r"H3=\d+", "H3=15")), "mass balance"),
     "no G90": (edit(MAIN, " G90", ""), "modes"),
-    "no work offset": (line_before(drop(MAIN, "G54")), "modes"),
+    "no work offset": (told_at(MAIN, "COMPOF", drop(MAIN, "G54"), shift=-1), "modes"),
     "other work offset": (edit(MAIN, "G54", "G55"), "modes"),
     "wide smoothing": (edit(MAIN, "CTOL=0.05", "CTOL=0.5"), "smoothing"),
     "other smoothing": (edit(MAIN, "FFWON G642$", "FFWON G64"), "smoothing"),
@@ -257,20 +185,9 @@ FAULTS = {
     "turn 40 mm out": (edit(FIRST, r"G1 X(-?\d+)(\.\d+ Y.* ; TURN)", lambda m: f"G1 X{int(m[1]) + 40}{m[2]}"), "hatch path"),
     # -- path
     "flipped sign of a coefficient": (edit(FIRST, r"(PO\[X\]=\([^,]*,)-?", r"\1-9", nth=1), "contour path"),
-    "contour 0.1 mm off": (
-        edit(FIRST, r"G1 X(-?\d+)\.(\d)", lambda m: f"G1 X{m[1]}.{(int(m[2]) + 1) % 10}"),
-        "contour path",
-    ),
-    "hatch 0.1 mm off": (
-        edit(FIRST, r"Y(-?\d+)\.(\d)(.*)(?<! ; TURN)$", lambda m: f"Y{m[1]}.{(int(m[2]) + 1) % 10}{m[3]}", nth=20),
-        "hatch vectors",
-    ),
-    "ring left open": (
-        lambda text: (lambda i: text.edit(FIRST, r"Y(-?\d+)\.(\d)", lambda m: f"Y{m[1]}.{(int(m[2]) + 1) % 10}", i))(
-            sum(" Y" in line for line in text.lines[FIRST][: text.find(FIRST, "M63", nth=1)]) - 1
-        ),
-        "contours close",
-    ),
+    "contour 0.1 mm off": (edit(FIRST, r"(G1 X-?\d+\.)(\d)", tenth_more), "contour path"),
+    "hatch 0.1 mm off": (edit(FIRST, r"(Y-?\d+\.)(\d)(?!.* ; TURN$)", tenth_more, 20), "hatch vectors"),
+    "ring left open": (ring_left_open, "contours close"),
     "dropped hatch line": (dropped_line, "hatch vectors"),
     "islands in another order": (swapped_islands, "islands"),
     "dropped island": (dropped_island, "islands"),

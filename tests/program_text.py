@@ -1,4 +1,4 @@
-"""A small program of any control as lines, to plant faults in, and what the checks then say."""
+"""Programs as lines, to plant faults in, and what the checks then say of a small one of any control."""
 
 from __future__ import annotations
 
@@ -13,36 +13,17 @@ CONTROLS = ("sinumerik-840d-sl", "linuxcnc", "plain-gcode")
 MAIN = {CONTROLS[0]: "MAIN.MPF", CONTROLS[1]: "MAIN.ngc", CONTROLS[2]: "MAIN.gcode"}
 
 
-class ProgramText:
-    """Lines of every file of a program of two layers."""
+class Text:
+    """Lines of every file of a program, to plant faults in."""
 
-    def __init__(self, control, folder, machine=None, process=None):
-        self.control = control
-        self.config = Config().changed(machine={"control": control, **(machine or {})}, process=process or {})
-        self.curves, self.plan = stack(count=2)
-        self.files = write_program(self.curves, self.plan, self.config, folder)
-        self.lines = {name: (self.files.folder / name).read_text().split("\n") for name in self.files.names}
-
-    @property
-    def main(self):
-        return MAIN[self.control]
-
-    def layer(self, k):
-        """File of layer k, from 1, and the index of its first line."""
-        if self.control == CONTROLS[0]:
-            return f"MAIN_L{k:04d}.SPF", 0
-        begin = next(i for i, line in enumerate(self.lines[self.main]) if line.startswith(f"; LAYER: {k} "))
-        return self.main, begin
+    def __init__(self, folder):
+        self.folder = folder
+        self.lines = {path.name: path.read_text().split("\n") for path in sorted(folder.iterdir())}
 
     def find(self, name, pattern, nth=0, begin=0):
         """Index of the nth line from `begin` that holds the pattern."""
         lines = self.lines[name][begin:]
         return begin + [i for i, line in enumerate(lines) if re.search(pattern, line)][nth]
-
-    def in_bead(self, k=2, nth=1):
-        """File, and index of the nth motion under beam and wire of layer k."""
-        name, begin = self.layer(k)
-        return name, self.find(name, r"\bF600\b", begin=begin) + nth
 
     def insert(self, name, i, block):
         """Put a block before the line i; give its place."""
@@ -80,10 +61,43 @@ class ProgramText:
         lines[i], lines[j] = (a[1] or "") + b[2], (b[1] or "") + a[2]
         return f"{name}:{min(i, j) + 1}"
 
+    def save(self):
+        """Write the lines in place of all files."""
+        for path in self.folder.iterdir():
+            path.unlink()
+        for name, lines in self.lines.items():
+            (self.folder / name).write_text("\n".join(lines))
+
+
+class ProgramText(Text):
+    """Lines of every file of a program of two layers."""
+
+    def __init__(self, control, folder, machine=None, process=None):
+        self.control = control
+        self.config = Config().changed(machine={"control": control, **(machine or {})}, process=process or {})
+        self.curves, self.plan = stack(count=2)
+        self.files = write_program(self.curves, self.plan, self.config, folder)
+        super().__init__(folder)
+
+    @property
+    def main(self):
+        return MAIN[self.control]
+
+    def layer(self, k):
+        """File of layer k, from 1, and the index of its first line."""
+        if self.control == CONTROLS[0]:
+            return f"MAIN_L{k:04d}.SPF", 0
+        begin = next(i for i, line in enumerate(self.lines[self.main]) if line.startswith(f"; LAYER: {k} "))
+        return self.main, begin
+
+    def in_bead(self, k=2, nth=1):
+        """File, and index of the nth motion under beam and wire of layer k."""
+        name, begin = self.layer(k)
+        return name, self.find(name, r"\bF600\b", begin=begin) + nth
+
     def failed(self, **given):
         """Write the lines, and return the checks that fail, by name."""
-        for name, lines in self.lines.items():
-            (self.files.folder / name).write_text("\n".join(lines))
+        self.save()
         given.setdefault("curves", self.curves)
         given.setdefault("plan", self.plan)
         checks = verify_file(self.files.main, config=self.config, **given)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from limit_cases import cube, program_of
 from limits_of_heat import preheated
-from motion_faults import SHAPES, made
+from small_parts import SHAPES, made
 
 from ebamcheck.controls.sinumerik.writing import write_program
 from ebamcheck.program import read_program

@@ -96,27 +96,25 @@ def test_the_square_is_sound(square):
     assert square.failed() == set()
 
 
-def test_too_much_wire_is_found(square):
-    def more(lines):
-        for i, line in enumerate(lines):
-            lines[i] = re.sub(r"H3=([\d.]+)", lambda m: f"H3={1.05 * float(m[1]):.6f}", line)
+def wire_times(factor):
+    """Edit of a file: all of its wire speeds, multiplied."""
 
-    square.edit(LAYER, more)
+    def change(lines):
+        lines[:] = [
+            re.sub(r"H3=([\d.]+)", lambda m: f"H3={factor * float(m[1]):.6f}", line) for line in lines
+        ]
+
+    return change
+
+
+def test_too_much_wire_is_found(square):
+    square.edit(LAYER, wire_times(1.05))
     assert square.checks()["metal of layers"].where.startswith(LAYER)
     assert "metal of layers" in square.failed()
     for k in (1, 2, 4, 5, 6):
-        square.edit(f"MAIN_L{k:04d}.SPF", more)
+        square.edit(f"MAIN_L{k:04d}.SPF", wire_times(1.05))
     assert {"metal", "metal of layers"} <= square.failed()
     assert not deposit_gate(square.checks().values(), square.config).passed
-
-
-def test_feed_at_half_speed_lays_twice_the_metal(square):
-    def slower(lines):
-        for i, line in enumerate(lines):
-            lines[i] = line.replace("F600", "F300")
-
-    square.edit(LAYER, slower)
-    assert "metal of layers" in square.failed()
 
 
 def test_a_bead_beside_the_part_is_found_whatever_a_comment_says(square):
@@ -144,22 +142,24 @@ def test_a_sum_that_rounding_puts_under_0_is_no_metal_beside_the_part():
     assert str(check.value) == "0.0"
 
 
-def test_a_contour_laid_twice_is_found(square):
-    def twice(lines):
-        i = next(n for n, line in enumerate(lines) if line.startswith("; RING"))
-        j = next(n for n, line in enumerate(lines) if "M61" in line)
-        lines[j + 1 : j + 1] = [re.sub(r"^N\d+ ", "", line) for line in lines[i : j + 1]]
-
-    square.edit(LAYER, twice)
-    assert {"metal of layers"} <= square.failed()
+def feed_halved(lines):
+    lines[:] = [line.replace("F600", "F300") for line in lines]
 
 
-def test_missing_metal_is_found(square):
-    def without_half(lines):
-        islands = [n for n, line in enumerate(lines) if line.startswith("; ISLAND")]
-        del lines[islands[1] : islands[len(islands) // 2]]
+def contour_laid_twice(lines):
+    i = next(n for n, line in enumerate(lines) if line.startswith("; RING"))
+    j = next(n for n, line in enumerate(lines) if "M61" in line)
+    lines[j + 1 : j + 1] = [re.sub(r"^N\d+ ", "", line) for line in lines[i : j + 1]]
 
-    square.edit(LAYER, without_half)
+
+def half_of_the_islands_left_out(lines):
+    islands = [n for n, line in enumerate(lines) if line.startswith("; ISLAND")]
+    del lines[islands[1] : islands[len(islands) // 2]]
+
+
+@pytest.mark.parametrize("spoil", [feed_halved, contour_laid_twice, half_of_the_islands_left_out])
+def test_too_much_or_too_little_metal_in_a_layer_is_found(square, spoil):
+    square.edit(LAYER, spoil)
     assert "metal of layers" in square.failed()
 
 
@@ -213,11 +213,7 @@ def test_the_width_of_a_hole_is_that_of_its_widest_place(square):
 
 @pytest.mark.parametrize(("factor", "code"), [(1.2, "metal-excess"), (0.8, "metal-missing")])
 def test_findings_tell_too_much_metal_from_too_little(square, factor, code):
-    def change(lines):
-        for i, line in enumerate(lines):
-            lines[i] = re.sub(r"H3=([\d.]+)", lambda m: f"H3={factor * float(m[1]):.6f}", line)
-
-    square.edit(LAYER, change)
+    square.edit(LAYER, wire_times(factor))
     assert code in {finding.code for finding in metal_findings(square.checks().values())}
 
 
@@ -226,13 +222,8 @@ def test_the_mass_of_a_small_part_tells_too_much_from_too_little(tmp_path, facto
     """Four grams in kilograms with three decimals are the same on both sides."""
     small = Made(tmp_path, shapely.box(0, 0, 20, 20), layers=2)
     small.config = small.config.changed(material={"density_kg_m3": 1000.0})
-
-    def change(lines):
-        for i, line in enumerate(lines):
-            lines[i] = re.sub(r"H3=([\d.]+)", lambda m: f"H3={factor * float(m[1]):.6f}", line)
-
     for k in (1, 2):
-        small.edit(f"MAIN_L{k:04d}.SPF", change)
+        small.edit(f"MAIN_L{k:04d}.SPF", wire_times(factor))
     whole = small.checks()["metal"]
     assert not whole.passed
     laid, wanted = (float(kg) for kg in re.findall(r"([\d.]+) kg", whole.text))

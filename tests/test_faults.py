@@ -8,21 +8,24 @@ import numpy as np
 import pytest
 from slicers_here import slicers_here
 
-from benchmarks.faults import quick, tables
-from benchmarks.faults.__main__ import SEED
-from benchmarks.faults.finished import Workshop
+from benchmarks.faults import tables
+from benchmarks.faults.__main__ import PART, QUICK, SEED, quick_results
 from benchmarks.faults.judging import NEAR_LINES, Said, failures, is_right, judged_run, judged_text, verdict
-from benchmarks.faults.kinds import KINDS, Ground, Place
-from benchmarks.faults.planting import Planter, faults
-from benchmarks.faults.program_text import NUMBER, code_of, numbered, without_comments, word
-from benchmarks.faults.results import Ledger, Result
-from benchmarks.faults.settings_faults import setting_faults
-from benchmarks.faults.shapes import about, moved, turn
-from benchmarks.faults.subjects import CONTROLS, SUBJECTS
+from benchmarks.faults.kinds import KINDS, Ground, NotHereError, Place
+from benchmarks.faults.planting import Planter, Result, Results, faults
+from benchmarks.faults.program_text import (
+    NUMBER,
+    about,
+    code_of,
+    moved,
+    numbered,
+    turn,
+    without_comments,
+    word,
+)
+from benchmarks.faults.subjects import CONTROLS, SUBJECTS, Workshop
 from ebamcheck.errors import InputError
 from ebamcheck.program import Check, read_program
-
-MISSED = quick.known_misses()
 
 
 @pytest.fixture(scope="module")
@@ -35,14 +38,12 @@ def workshop(tmp_path_factory):
 
 
 def test_there_are_enough_faults_of_enough_kinds_for_every_control():
-    every = [*faults(), *setting_faults()]
-    names = [fault.name for fault in every]
+    names = [fault.name for fault in faults()]
     assert len(names) == len(set(names)) >= 300
     for control in CONTROLS:
         kinds = {f.kind.name for f in faults("", (control,))}
         assert len(kinds) >= 40
-    assert set(quick.NAMES) <= set(names)
-    assert {line.partition(" ")[2] for line in MISSED} <= set(quick.NAMES)
+    assert set(QUICK) <= set(names)
 
 
 def test_every_kind_that_a_text_cannot_show_says_why():
@@ -61,36 +62,26 @@ def found(workshop):
 
     def result(name: str) -> Result:
         if name not in known:
-            known.update({r.name: r for r in quick.quick_results(workshop, SEED, (name,))})
+            known.update({r.name: r for r in quick_results(workshop, SEED, (name,))})
         return known[name]
 
     return result
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=pytest.mark.slow if i % 8 else ()) for i, n in enumerate(quick.NAMES)]
+    "name", [pytest.param(n, marks=pytest.mark.slow if i % 8 else ()) for i, n in enumerate(QUICK)]
 )
-def test_a_planted_fault_is_found_unless_it_stands_on_the_list(name, found):
-    missed = [line for line in quick.misses(found(name)) if line not in MISSED]
-    assert not missed, "no longer found"
-
-
-@pytest.mark.parametrize("name", [n for n in quick.NAMES if re.search("in the air|empty layer|floats", n)])
-def test_metal_in_the_air_is_found_as_such(name, found):
-    assert "support" in found(name).text_checks
-
-
-def test_the_list_of_missed_faults_holds_none_that_is_found(found):
-    names = dict.fromkeys(line.partition(" ")[2] for line in MISSED)
-    missed = [line for name in names for line in quick.misses(found(name))]
-    now_found = [line for line in MISSED if line not in missed]
-    assert not now_found, "take them off the list: python -m benchmarks.faults --quick --shorten"
+def test_a_planted_fault_is_found_by_the_check_that_is_meant_for_it(name, found):
+    result = found(name)
+    assert not result.run_missed
+    assert not result.text_missed
+    assert set(QUICK[name].split(", ")) <= {*result.run_checks, *result.text_checks}
 
 
 @pytest.mark.parametrize(
     ("part", "control"),
     [
-        *((quick.PART, control) for control in CONTROLS),
+        *((PART, control) for control in CONTROLS),
         ("bored", CONTROLS[1]),
     ],
 )
@@ -105,14 +96,14 @@ def test_a_sound_program_raises_no_alarm_with_or_without_comments(part, control,
 @pytest.mark.parametrize("control", CONTROLS)
 def test_the_same_seed_plants_the_same_fault(control, workshop):
     fault = next(f for f in faults("island shifted", (control,)))
-    texts = [Planter(workshop, seed, (quick.PART,)).planted(fault)[0].text.files for seed in (1, 1, 2)]
+    texts = [Planter(workshop, seed, (PART,)).planted(fault)[0].text.files for seed in (1, 1, 2)]
     assert texts[0] == texts[1]
     assert texts[0] != texts[2]
 
 
 @pytest.mark.parametrize("control", CONTROLS)
 def test_beads_of_the_text_are_those_that_the_product_reads(control, workshop):
-    made = workshop.finished(SUBJECTS[quick.PART], control)
+    made = workshop.finished(SUBJECTS[PART], control)
     program = read_program(made.run / "program", made.config)
     places = {program.where(int(row)) for row in np.flatnonzero(program.deposit)}
     beads = made.text().beads()
@@ -209,9 +200,12 @@ def test_tables_name_what_is_missed_and_count_the_rest():
     assert tables.as_csv(results).count("\n") == 3
 
 
-def test_results_are_kept_for_the_code_that_made_them(tmp_path):
-    path = tmp_path / "results.jsonl"
-    Ledger(path, "one").add(some_result(run_checks=("beam", "wire")))
-    assert list(Ledger(path, "one")) == [some_result(run_checks=("beam", "wire"))]
-    assert list(Ledger(path, "two")) == []
-    assert list(Ledger(path, "")) == list(Ledger(path, "one"))
+def test_results_are_kept_and_what_is_known_is_not_judged_again(tmp_path):
+    def not_here():
+        raise NotHereError
+
+    wanted = some_result(run_checks=("beam", "wire"))
+    assert Results(tmp_path).of("a/linuxcnc", lambda: wanted) == wanted
+    assert Results(tmp_path).of("a/linuxcnc", not_here) == wanted
+    assert Results(tmp_path).of("b/linuxcnc", not_here) is None
+    assert Results(tmp_path).of("b/linuxcnc", lambda: wanted) is None

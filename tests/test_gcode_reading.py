@@ -80,44 +80,6 @@ def test_other_line_ends_read_the_same(control, tmp_path):
     assert np.array_equal(before.turn, after.turn)
 
 
-@pytest.mark.parametrize("control", TEXT_CONTROLS)
-def test_a_cut_off_file_has_no_end(control, tmp_path):
-    files, config = wrote(tmp_path, {"control": control}, *stack(count=1))
-    whole = read_program(files.main, config)
-    assert all(file.end_line == file.line_count for file in whole.files)
-    last = files.folder / files.names[-1]
-    last.write_bytes(last.read_bytes()[:-20])
-    cut = read_program(files.main, config)
-    assert cut.files[-1].end_line == 0
-
-
-@pytest.mark.parametrize("control", TEXT_CONTROLS)
-def test_another_encoding_is_refused(control, tmp_path):
-    files, config = wrote(tmp_path, {"control": control}, smooth_curves())
-    last = files.folder / files.names[-1]
-    text = last.read_text()
-    last.write_text(text, encoding="utf-16")
-    with pytest.raises(InputError, match=rf"{last.name}:1:1: unknown word"):
-        read_program(last, config)
-    last.write_text(text.replace("G0 Z", "G0 \u00a0Z", 1), encoding="utf-8")
-    with pytest.raises(InputError, match=rf"{last.name}:\d+:\d+: unknown word"):
-        read_program(files.main, config)
-
-
-@pytest.mark.parametrize("control", TEXT_CONTROLS)
-def test_one_unknown_word_in_the_middle_is_found(control, tmp_path):
-    files, config = wrote(tmp_path, {"control": control}, *stack(count=1))
-    last = files.folder / files.names[-1]
-    lines = last.read_text().splitlines()
-    at = next(i for i, line in enumerate(lines) if i > 30 and ";" not in line)
-    lines[at] += " W3"
-    last.write_text("\n".join(lines) + "\n")
-    with pytest.raises(
-        InputError, match=rf"{last.name}:{at + 1}:{lines[at].index('W3') + 1}: unknown word 'W3'"
-    ):
-        read_program(files.main, config)
-
-
 # -- an outside witness ----------------------------------------------------------------------------
 
 

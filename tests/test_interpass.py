@@ -23,7 +23,6 @@ from ebamcheck.checks.value_checks import MELTING
 from ebamcheck.controls.gcode.writing import write_linuxcnc, write_plain_gcode
 from ebamcheck.controls.sinumerik.writing import write_program
 from ebamcheck.errors import SettingsError
-from ebamcheck.heat import interpass
 from ebamcheck.heat.balance import HeatColumn
 from ebamcheck.heat.interpass import shortest_wait_s
 from ebamcheck.heat.medium import (
@@ -39,7 +38,6 @@ from ebamcheck.pipeline.gates import heat_gate
 from ebamcheck.pipeline.stages import bead_paths, plan_program
 from ebamcheck.program import program_summary, read_program, verify_program
 from ebamcheck.scan import ScanPlan, plan_stack
-from ebamcheck.scan.plan import whole_part
 from ebamcheck.settings.config import Config
 
 POSTS = {"sinumerik-840d-sl": write_program, "linuxcnc": write_linuxcnc, "plain-gcode": write_plain_gcode}
@@ -346,39 +344,3 @@ def test_an_empty_layer_is_no_obstacle():
     plan = plan_stack(from_polygons(heights, [[box], [], [box]]), CONFIG)
     assert plan.metrics["power_share"].isna().tolist() == [False, True, False]
     assert HeatColumn(CONFIG).surface_k == CONFIG.process.ambient_temperature_k
-
-
-@pytest.mark.parametrize("name", ["power", "both"])
-def test_a_layer_that_fits_is_simulated_once_and_is_the_one_with_waits(name, monkeypatch):
-    """The search for the power ends with a layer in which no bead waits: it is taken, and not worked out again."""
-    made, alike, simulated = [], [], interpass.simulate
-
-    def watched(job, found, config, share, *arguments, **options):
-        done = simulated(job, found, config, share, *arguments, **options)
-        made.append((share, done))
-        return done
-
-    monkeypatch.setattr(interpass, "simulate", watched)
-    cooled = interpass.cooled_layer
-
-    def both_ways(job, found, config, guess=0.0):
-        first = len(made)
-        result = cooled(job, found, config, guess)
-        shares = [share for share, done in made[first:] if done is not None]
-        waits = config.process.interpass in ("dwell", "both")
-        if (result.bead_wait_s == 0.0).all() and result.wait_s <= config.process.layer_pause_s:
-            assert len(shares) == len(set(shares))
-            again = simulated(job, found, config, result.power_share, waits)
-            for key in ("bed_k", "mean_k", "bead_wait_s"):
-                assert np.array_equal(getattr(again, key), getattr(result, key))
-            assert np.array_equal(again.after.field.state, result.after.field.state)
-            assert np.array_equal(again.after.column.content, result.after.column.content)
-            assert again.time_s == result.time_s
-            alike.append(result)
-        return result
-
-    monkeypatch.setattr(whole_part, "cooled_layer", both_ways)
-    config = CONFIG.changed(process={"interpass": name, "interpass_limit_k": 1900.0})
-    plan_stack(tube(config), config)
-    assert len(alike) > LAYERS // 2
-    assert any(layer.power_share < 1.0 for layer in alike)

@@ -46,18 +46,6 @@ def test_a_word_in_a_bead_that_changes_the_state_is_found(control, word, tmp_pat
     assert any(near(found[name].where, place) for name in STATE if name in found), found
 
 
-@pytest.mark.parametrize("words", ["G0 G1", "G2 G1", "G1 G1"])
-@pytest.mark.parametrize("control", CONTROLS)
-def test_two_words_of_one_group_in_a_block_are_refused(control, words, tmp_path):
-    """A control stops with an alarm in the middle of a bead, with the beam on, or takes either of them."""
-    text = ProgramText(control, tmp_path / "p")
-    name, line = text.in_bead()
-    place = text.edit(name, "G1 X", f"{words} X", begin=line)
-    found = text.failed_by_text()["readable"]
-    assert near(found.where, place, 0)
-    assert f"{words.replace(' ', ' and ')} in one block" in found.text
-
-
 @pytest.mark.parametrize("control", CONTROLS)
 def test_an_honest_program_passes(control, tmp_path):
     assert ProgramText(control, tmp_path / "p").failed() == {}
@@ -100,46 +88,6 @@ def test_the_retract_of_the_end_is_asked_for(tmp_path):
     text = ProgramText(SINUMERIK, tmp_path / "p")
     place = text.edit(text.main, r"G0 Z[\d.]+", "G0 Z3.1")
     assert near(text.failed_by_text()["safe end"].where, place)
-
-
-@pytest.mark.parametrize("control", CONTROLS)
-def test_beam_and_wire_are_off_before_the_first_motion(control, tmp_path):
-    for what in ("beam", "wire"):
-        text = ProgramText(control, tmp_path / "p")
-        text.drop(text.main, f"; {what} off")
-        assert what in text.failed_by_text()["start state"].text
-
-
-ON = {
-    SINUMERIK: ("M60", r"H3=", "M62"),
-    LINUXCNC: ("M64 P0", r"M68 E2", "M64 P1"),
-    PLAIN: (r"M3 S", r"M42 P1", "M8"),
-}
-"""Blocks that switch the beam on, set the wire's speed, start the wire."""
-
-
-def _order(text, first, second):
-    name, begin = text.layer(2)
-    i, j = (text.find(name, ON[text.control][k], begin=begin) for k in (first, second))
-    return text.swap(name, i, j)
-
-
-@pytest.mark.parametrize("control", CONTROLS)
-@pytest.mark.parametrize(("first", "second"), [(0, 2), (1, 2)], ids=["wire before beam", "speed after wire"])
-def test_blocks_out_of_order_are_found(control, first, second, tmp_path):
-    text = ProgramText(control, tmp_path / "p")
-    place = _order(text, first, second)
-    assert near(text.failed_by_text()["order of events"].where, place)
-
-
-@pytest.mark.parametrize("control", CONTROLS)
-def test_a_power_that_is_set_after_the_beam_is_on_is_found(control, tmp_path):
-    text = ProgramText(control, tmp_path / "p", process={"ramp_up_mm": 4.0})
-    name, begin = text.layer(2)
-    on = text.find(name, ON[control][0], begin=begin)
-    power = {SINUMERIK: "H2=67.5", LINUXCNC: "M68 E1 Q67.5", PLAIN: "S3600"}[control]
-    place = text.insert(name, on + 1, power)
-    assert near(text.failed_by_text()["order of events"].where, place)
 
 
 @pytest.mark.parametrize("control", CONTROLS)

@@ -8,7 +8,8 @@ import pytest
 import shapely
 from command_line import FAST, ebamcheck, write_stl
 from parts import box
-from planted_faults import Text
+from planted_faults import drop, edit
+from program_text import Text
 from slicers_here import runs_cut_here as runs_cut_here
 
 from ebamcheck.checks.preheating import preheat_checks
@@ -100,37 +101,9 @@ def test_a_published_layer_verifies_from_its_text(made, tmp_path):
         assert all(check.passed for check in checks), [c.in_words() for c in checks if not c.passed]
 
 
-def wire_on(text):
-    text.edit(SUB, "M60 ; beam on", "M60 ; beam on\nN171 H3=33 ; wire speed, mm/s\nN172 M62 ; wire on")
-
-
-def into_focus(text):
-    text.edit(SUB, r"H5=20 ", "H5=10 ")
-
-
-def never_out_of_focus(text):
-    text.drop(SUB, r"H5=20 ")
-
-
-def not_taken_back(text):
-    text.drop(SUB, r"H5=0 ")
-
-
 def beam_not_off(text):
     first = text.find(SUB, "H5=20")
     text.lines[SUB] = [line for i, line in enumerate(text.lines[SUB]) if not (i < first and "M61" in line)]
-
-
-def power_of_beads(text):
-    text.edit(SUB, r"H2=150 ", "H2=250 ")
-
-
-def beside_what_stands(text):
-    text.edit(SUB, r"G1 X130.000000", "G1 X148.000000")
-
-
-def at_the_part(text):
-    text.edit(SUB, r"G0 Z21.700000", "G0 Z2.700000")
 
 
 def after_beads(text):
@@ -141,9 +114,12 @@ def after_beads(text):
     lines[-2:-2] = scan
 
 
+ON = "M60 ; beam on"
+
+
 def said(word):
     """A word before a way under the beam; it holds for the beads behind the scan, too."""
-    return lambda text: text.edit(SUB, "M60 ; beam on", f"{word}\nN171 M60 ; beam on")
+    return edit(SUB, ON, f"{word}\nN171 {ON}")
 
 
 FAULTS = {
@@ -152,14 +128,17 @@ FAULTS = {
     "a wide tolerance": (said("CTOL=5"), "preheat state"),
     "a stop": (said("M1"), "preheat state"),
     "a transformation switched off, and the offset with it": (said("TRAFOOF"), "preheat state"),
-    "the wire runs while it preheats": (wire_on, "preheat state"),
-    "half out of focus": (into_focus, "preheat state"),
-    "beads in the place of a scan": (never_out_of_focus, "wire"),
-    "the focus is not taken back": (not_taken_back, "preheat state"),
+    "the wire runs while it preheats": (
+        edit(SUB, ON, f"{ON}\nN171 H3=33 ; wire speed, mm/s\nN172 M62 ; wire on"),
+        "preheat state",
+    ),
+    "half out of focus": (edit(SUB, r"H5=20 ", "H5=10 "), "preheat state"),
+    "beads in the place of a scan": (drop(SUB, r"H5=20 "), "wire"),
+    "the focus is not taken back": (drop(SUB, r"H5=0 "), "preheat state"),
     "the beam is not commanded off before": (beam_not_off, "preheat state"),
-    "a greater current": (power_of_beads, "preheat state"),
-    "beside what stands": (beside_what_stands, "preheat path"),
-    "the tool at the part": (at_the_part, "preheat path"),
+    "a greater current": (edit(SUB, r"H2=150 ", "H2=250 "), "preheat state"),
+    "beside what stands": (edit(SUB, r"G1 X130.000000", "G1 X148.000000"), "preheat path"),
+    "the tool at the part": (edit(SUB, r"G0 Z21.700000", "G0 Z2.700000"), "preheat path"),
     "after its layer": (after_beads, "preheat calls"),
 }
 
@@ -193,13 +172,13 @@ def none_at_all(text):
     del text.lines[SUB][first : last + 1]
 
 
-def cooled(text):
-    text.edit(SUB, "G4 F10", "G4 F3000")
-
-
 @pytest.mark.parametrize(
     ("plant", "wanted"),
-    [(more, "preheat count"), (none_at_all, "preheat temperature"), (cooled, "preheat temperature")],
+    [
+        (more, "preheat count"),
+        (none_at_all, "preheat temperature"),
+        (edit(SUB, "G4 F10", "G4 F3000"), "preheat temperature"),
+    ],
 )
 def test_how_often_and_how_warm_is_judged_where_the_heat_is_known(plant, wanted, made, tmp_path):
     _, (lowest, upper) = made

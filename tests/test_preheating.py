@@ -11,7 +11,8 @@ from command_line import FAST, ebamcheck, write_stl
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from parts import box
-from planted_faults import Text
+from planted_faults import drop, edit
+from program_text import Text
 from slicers_here import runs_cut_here as runs_cut_here
 
 from ebamcheck.errors import SettingsError
@@ -182,127 +183,61 @@ def test_the_report_shows_it(place):
 # -- what would wreck part or machine and still run ---------------------------------------------------
 
 
-def wire_on(text):
-    text.edit(SCAN, "M60 ; beam on", "M60 ; beam on\nN171 H3=33 ; wire speed, mm/s\nN172 M62 ; wire on")
-    text.edit(SCAN, "M61 ; beam off", "M63 ; wire off\nN271 M61 ; beam off", 1)
+def each(*plants):
+    def plant(text):
+        for one in plants:
+            one(text)
+
+    return plant
 
 
-def power_of_melting(text):
-    text.edit(SCAN, r"H2=10 ", "H2=120 ")
-
-
-def voltage_up(text):
-    text.edit(SCAN, r"H1=60 ", "H1=120 ")
-
-
-def no_defocus(text):
-    text.drop(SCAN, r"H5=20 ")
-
-
-def half_defocus(text):
-    text.edit(SCAN, r"H5=20 ", "H5=10 ")
-
-
-def focus_not_taken_back(text):
-    text.drop(SCAN, r"H5=0 ")
-
-
-def focus_lost_before_a_bead(text):
-    text.edit("MAIN_L0002.SPF", r"M60 ; beam on", "H5=20 ; focus\nN151 M60 ; beam on")
-
-
-def beside_the_plate(text):
-    text.edit(SCAN, r"G1 X46.000000 Y-5.000000", "G1 X246.000000 Y-5.000000")
-
-
-def into_the_plate(text):
-    text.edit(SCAN, r"G0 Z20.000000", "G0 Z0.500000")
-
-
-def too_slow(text):
-    text.edit(SCAN, r"F3000", "F300")
-
-
-def doubled(text):
+def passes_doubled(text):
     first, last = text.find(SCAN, "; PASS 1$"), text.find(SCAN, "H2=120")
     text.lines[SCAN][last:last] = text.lines[SCAN][first:last]
 
 
-def one_pass_less(text):
-    first, last = text.find(SCAN, "; PASS 9$"), text.find(SCAN, "H2=120")
-    del text.lines[SCAN][first:last]
+def last_pass_without(begin, end):
+    def plant(text):
+        first, last = text.find(SCAN, "; PASS 9$"), text.find(SCAN, "H2=120")
+        del text.lines[SCAN][first + begin : last - end]
 
-
-def half_a_pass(text):
-    first, last = text.find(SCAN, "; PASS 9$"), text.find(SCAN, "H2=120")
-    del text.lines[SCAN][first + 4 : last - 1]
-
-
-def never_called(text):
-    text.drop(MAIN, "MAIN_P0001")
-
-
-def called_twice(text):
-    text.edit(MAIN, "MAIN_P0001", "MAIN_P0001\nN131 MAIN_P0001")
-
-
-def called_late(text):
-    text.drop(MAIN, "MAIN_P0001")
-    text.edit(MAIN, "MAIN_L0001", "MAIN_L0001\nN141 MAIN_P0001")
-
-
-def beam_left_on(text):
-    text.drop(SCAN, "M61 ; beam off", -1)
-
-
-def beam_on_in_a_rapid(text):
-    text.drop(SCAN, "M61 ; beam off", 1)
-    text.drop(SCAN, "M60 ; beam on", 1)
-
-
-def stands_under_the_beam(text):
-    text.edit(SCAN, "M61 ; beam off", "G4 F20\nN265 M61 ; beam off", 1)
-
-
-def soaked_away(text):
-    text.edit(SCAN, "G4 F30", "G4 F3000")
+    return plant
 
 
 def hot_spot(text):
     first = text.find(SCAN, r"G1 X-10.000000 Y5.000000")
-    text.lines[SCAN][first + 1 : first + 1] = [
-        f"N{171 + k} G1 X{-10.0 if k % 2 else 0.0:.6f} Y5.000000" for k in range(8)
-    ]
+    again = [f"N{171 + k} G1 X{-10.0 if k % 2 else 0.0:.6f} Y5.000000" for k in range(8)]
+    text.lines[SCAN][first + 1 : first + 1] = again
 
 
-def wire_in_a_comment_free_scan(text):
-    text.edit(SCAN, "M63 ; wire off", "M62 ; wire off")
-
-
+ON, OFF = "M60 ; beam on", "M61 ; beam off"
 FAULTS = {
-    "the wire runs while it preheats": (wire_on, "preheat state"),
-    "the power of melting": (power_of_melting, "preheat state"),
-    "twice the voltage": (voltage_up, "preheat state"),
-    "the beam in focus": (no_defocus, "preheat state"),
-    "half out of focus": (half_defocus, "preheat state"),
-    "the focus is not taken back": (focus_not_taken_back, "preheat state"),
-    "a bead out of focus": (focus_lost_before_a_bead, "preheat state"),
-    "the beam beside the plate": (beside_the_plate, "preheat path"),
-    "the tool at the plate": (into_the_plate, "preheat path"),
-    "ten times too slow": (too_slow, "preheat path"),
-    "twice the passes": (doubled, "preheat count"),
-    "a pass less": (one_pass_less, "preheat count"),
-    "half a pass": (half_a_pass, "preheat count"),
-    "never called": (never_called, "preheat calls"),
-    "called twice": (called_twice, "preheat calls"),
-    "called after its layer": (called_late, "preheat calls"),
-    "the beam is left on": (beam_left_on, "preheat state"),
-    "the beam is on in a rapid": (beam_on_in_a_rapid, "preheat state"),
-    "the beam stands": (stands_under_the_beam, "preheat state"),
-    "a wait in which all cools": (soaked_away, "preheat temperature"),
+    "the wire runs while it preheats": (
+        each(edit(SCAN, ON, f"{ON}\nN171 H3=33 ; wire speed, mm/s\nN172 M62 ; wire on"), edit(SCAN, OFF, f"M63 ; wire off\nN271 {OFF}", 1)),
+        "preheat state",
+    ),
+    "the power of melting": (edit(SCAN, r"H2=10 ", "H2=120 "), "preheat state"),
+    "twice the voltage": (edit(SCAN, r"H1=60 ", "H1=120 "), "preheat state"),
+    "the beam in focus": (drop(SCAN, r"H5=20 "), "preheat state"),
+    "half out of focus": (edit(SCAN, r"H5=20 ", "H5=10 "), "preheat state"),
+    "the focus is not taken back": (drop(SCAN, r"H5=0 "), "preheat state"),
+    "a bead out of focus": (edit("MAIN_L0002.SPF", ON, f"H5=20 ; focus\nN151 {ON}"), "preheat state"),
+    "the beam beside the plate": (edit(SCAN, r"G1 X46.000000 Y-5.000000", "G1 X246.000000 Y-5.000000"), "preheat path"),
+    "the tool at the plate": (edit(SCAN, r"G0 Z20.000000", "G0 Z0.500000"), "preheat path"),
+    "ten times too slow": (edit(SCAN, r"F3000", "F300"), "preheat path"),
+    "twice the passes": (passes_doubled, "preheat count"),
+    "a pass less": (last_pass_without(0, 0), "preheat count"),
+    "half a pass": (last_pass_without(4, 1), "preheat count"),
+    "never called": (drop(MAIN, "MAIN_P0001"), "preheat calls"),
+    "called twice": (edit(MAIN, "MAIN_P0001", "MAIN_P0001\nN131 MAIN_P0001"), "preheat calls"),
+    "called after its layer": (each(drop(MAIN, "MAIN_P0001"), edit(MAIN, "MAIN_L0001", "MAIN_L0001\nN141 MAIN_P0001")), "preheat calls"),
+    "the beam is left on": (drop(SCAN, OFF, -1), "preheat state"),
+    "the beam is on in a rapid": (each(drop(SCAN, OFF, 1), drop(SCAN, ON, 1)), "preheat state"),
+    "the beam stands": (edit(SCAN, OFF, f"G4 F20\nN265 {OFF}", 1), "preheat state"),
+    "a wait in which all cools": (edit(SCAN, "G4 F30", "G4 F3000"), "preheat temperature"),
     "a place that is scanned again and again": (hot_spot, "preheat count"),
-    "the wire is switched on in place of off": (wire_in_a_comment_free_scan, "preheat state"),
-}
+    "the wire is switched on in place of off": (edit(SCAN, "M63 ; wire off", "M62 ; wire off"), "preheat state"),
+}  # fmt: skip
 
 
 @pytest.mark.in_turn(2)

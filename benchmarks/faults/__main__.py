@@ -3,21 +3,16 @@
 from __future__ import annotations
 
 import argparse
-import re
-import shutil
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Collection, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 
-from benchmarks.faults import quick, tables
-from benchmarks.faults.finished import Workshop, code_digest, plant_digest
-from benchmarks.faults.honest import honest_runs, known_alarms
-from benchmarks.faults.kinds import NotHereError
-from benchmarks.faults.planting import Fault, Planter, faults
-from benchmarks.faults.results import Ledger, Result
-from benchmarks.faults.settings_faults import SettingFault, judged_setting, setting_faults
-from benchmarks.faults.subjects import CONTROLS
+from benchmarks.faults import tables
+from benchmarks.faults.honest import honest_runs
+from benchmarks.faults.planting import Planter, Result, Results, faults
+from benchmarks.faults.subjects import CONTROLS, Workshop, code_digest, plant_digest
 from benchmarks.watch import ROOT
 from ebamcheck.atomic_file import replacing
 
@@ -26,71 +21,64 @@ WORK = Path(__file__).parent / ".work"
 SEED = 13
 NOTED_EVERY = 20
 
+PART = "prism"
+"""Part of the quick faults: it has long ways, and is verified soon; where a fault needs bores or arcs, another part serves."""
+
+QUICK = dict(
+    line.split(" | ")
+    for line in Path(__file__).with_name("quick.txt").read_text(encoding="utf-8").splitlines()
+)
+"""Some faults of every group by name, each for one control, and the checks that must find it by run or text."""
+
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Plant what is asked for; 0, or 2 where the options make no sense."""
+    """Plant what is asked for; 1 where a quick fault is missed, 2 where the options make no sense."""
     options = _options(arguments)
     workshop = Workshop(options.work)
     workshop.forget_outdated()
     if options.quick:
-        return _quick(workshop, options)
-    digest = f"{code_digest()}-{plant_digest()}-{options.seed}"
-    ledger = Ledger(options.work / "results.jsonl", digest)
+        missed = []
+        for result in quick_results(workshop, options.seed):
+            print(_line(result), flush=True)
+            missed += [result.name] if result.run_missed or result.text_missed else []
+        for name in missed:
+            print(f"missed: {name}")
+        return int(bool(missed))
+    folder = options.work / "results" / f"{code_digest()}-{plant_digest()}-{options.seed}"
     controls = (options.control,) if options.control else CONTROLS
-    if options.render:
-        known = Ledger(options.work / "results.jsonl", "")
-        write(list(known), known_alarms(options.work), options.seed, options.output or OUTPUT)
+    some = options.kind or options.control
+    results = planted(workshop, Results(folder), options, controls)
+    if some and options.output is None:
+        print("\n".join(map(_line, results)))
         return 0
-    results = planted(workshop, ledger, options, controls)
-    honest = None
-    if options.honest or not (options.kind or options.control):
-        honest = list(honest_runs(workshop, options.work, code_digest()))
-        _note(f"{sum(bool(said) for _, said in honest)} of {len(honest)} honest runs raise an alarm")
-    if options.output is not None:
-        write(results, honest, options.seed, options.output)
-        _note(f"written: {options.output}")
-    for result in results if options.output is None else ():
-        print(_line(result))
+    honest = None if some else list(honest_runs(workshop, folder))
+    output = options.output or OUTPUT
+    write(results, honest, options.seed, output)
+    _note(f"written: {output}")
     return 0
 
 
 def planted(
-    workshop: Workshop, ledger: Ledger, options: argparse.Namespace, controls: tuple[str, ...]
+    workshop: Workshop, known: Results, options: argparse.Namespace, controls: Sequence[str]
 ) -> list[Result]:
-    """Judge every fault that is not in the ledger yet; all results in order. Tables are written now and then."""
+    """Results of all faults in order; those that are known are not judged again."""
     planter = Planter(workshop, options.seed)
     begin = time.monotonic()
     results = []
-    every: list[Fault | SettingFault] = [
-        *faults(options.kind, controls),
-        *setting_faults(options.kind, controls),
-    ]
-    for fault in every:
-        if fault.name not in ledger or options.keep is not None:
-            try:
-                if isinstance(fault, Fault):
-                    found = planter.judged(fault, workshop.folder)
-                else:
-                    found = judged_setting(fault, workshop, workshop.folder)
-            except NotHereError:
-                continue
-            ledger.add(found)
-            if options.keep is not None:
-                _keep(workshop.folder, options.keep / re.sub(r"[^A-Za-z0-9]+", "-", fault.name))
-        results.append(ledger[fault.name])
+    for fault in faults(options.kind, controls):
+        result = known.of(fault.name, partial(planter.judged, fault, workshop.folder))
+        results += [result] if result else []
         if len(results) % NOTED_EVERY == 0:
             _note(f"{len(results)} faults, {time.monotonic() - begin:.0f} s")
-            if options.output is not None:
-                write(results, None, options.seed, options.output)
     return results
 
 
-def _keep(work: Path, folder: Path) -> None:
-    """Keep the run with the fault in it, and the bare text."""
-    shutil.rmtree(folder, ignore_errors=True)
-    for name in ("run", "spoiled", "alone"):
-        if (work / name).is_dir():
-            shutil.move(work / name, folder / name)
+def quick_results(workshop: Workshop, seed: int, names: Collection[str] = QUICK) -> Iterator[Result]:
+    """Judge the quick faults, or some of them."""
+    planter = Planter(workshop, seed, (PART,))
+    for fault in faults():
+        if fault.name in names:
+            yield planter.judged(fault, workshop.folder)
 
 
 def write(
@@ -98,7 +86,7 @@ def write(
 ) -> None:
     """Write table and rows."""
     folder.mkdir(parents=True, exist_ok=True)
-    planned = sum(1 for _ in faults()) + sum(1 for _ in setting_faults())
+    planned = sum(1 for _ in faults())
     texts = {
         "faults.md": tables.as_markdown(results, honest, seed, planned),
         "faults.csv": tables.as_csv(results),
@@ -108,26 +96,12 @@ def write(
             temporary.write_text(text, encoding="utf-8")
 
 
-def _quick(workshop: Workshop, options: argparse.Namespace) -> int:
-    """Print the quick faults; 1 where one is missed that is not on the list."""
-    missed = []
-    for result in quick.quick_results(workshop, options.seed):
-        print(_line(result), flush=True)
-        missed += quick.misses(result)
-    if options.shorten:
-        quick.shorten(missed)
-    known = quick.known_misses()
-    for line in missed:
-        print(f"missed: {line}{'' if line in known else ', which is not on the list'}")
-    return int(any(line not in known for line in missed))
-
-
 def _line(result: Result) -> str:
-    marks = "".join(
-        ("r" if result.run_found else ".", "t" if result.text_found else "u" if result.unseen else ".")
-    )
-    lines = "".join(("R" if result.run_right else ".", "T" if result.text_right else "."))
-    return f"{marks}{lines} {result.name} [{result.part} {result.where}] {result.what}\n      {' || '.join(result.notes)}"
+    """One line of what found a fault, small letters for run and text, capitals where the line is right; another of what was said."""
+    run = ("r" if result.run_found else ".", "R" if result.run_by else ".")
+    text = ("t" if result.text_found else "u" if result.unseen else ".", "T" if result.text_by else ".")
+    marks = run[0] + text[0] + run[1] + text[1]
+    return f"{marks} {result.name} [{result.part} {result.where}] {result.what}\n      {' || '.join(result.notes)}"
 
 
 def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
@@ -135,27 +109,12 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--kind", default="", help="kinds whose name contains this; printed, not written")
     parser.add_argument("--control", choices=CONTROLS, help="faults for one control alone")
     parser.add_argument("--quick", action="store_true", help="a few dozen faults on one part, printed")
-    parser.add_argument(
-        "--shorten", action="store_true", help="with --quick: take what is found off the list of the missed"
-    )
     parser.add_argument("--seed", type=int, default=SEED, help="seed of the places (default 13)")
-    parser.add_argument(
-        "--honest", action="store_true", help="honest runs, too, where --kind or --control is given"
-    )
-    parser.add_argument(
-        "--render", action="store_true", help="tables of what was measured last, and nothing new"
-    )
     parser.add_argument(
         "--work", type=Path, default=WORK, help="folder of finished runs and results, kept between runs"
     )
-    parser.add_argument(
-        "--keep", type=Path, help="folder for the runs and texts with the faults in them, to look at"
-    )
     parser.add_argument("-o", "--output", type=Path, help="folder of the tables (default reports/faults)")
-    options = parser.parse_args(arguments)
-    if options.output is None and not (options.kind or options.control):
-        options.output = OUTPUT
-    return options
+    return parser.parse_args(arguments)
 
 
 def _note(text: str) -> None:

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from benchmarks.faults.finished import Workshop
 from benchmarks.faults.judging import Said, failures, strip
-from benchmarks.faults.subjects import CONTROLS, SUBJECTS
+from benchmarks.faults.kinds import SINUMERIK
+from benchmarks.faults.subjects import CONTROLS, SUBJECTS, Workshop
+from ebamcheck.atomic_file import replacing
 from ebamcheck.program import Check
 from ebamcheck.verification.verify import verify_against_part, verify_run
-
-SINUMERIK = CONTROLS[0]
 
 LETTERS = 90
 """Letters of what a check says that are kept."""
@@ -54,53 +52,39 @@ LISTED: tuple[tuple[str, str, str], ...] = (
 """Part, control and settings of each honest run."""
 
 
-def honest_runs(workshop: Workshop, folder: Path, digest: str) -> Iterator[tuple[str, str]]:
+def honest_runs(workshop: Workshop, folder: Path) -> Iterator[tuple[str, str]]:
     """Name of each honest run, and the false alarms of it in words; what is known of this code is not made again."""
-    memory = folder / "honest.jsonl"
-    lines = memory.read_text(encoding="utf-8").splitlines() if memory.is_file() else []
-    known = {name: said for name, code, said in map(json.loads, lines) if code == digest}
+    folder.mkdir(parents=True, exist_ok=True)
     for part, control, how in LISTED:
         name = f"{part}/{control}/{how or 'default'}"
-        if name not in known:
-            known[name] = _alarms(workshop, folder, part, control, how)
-            with memory.open("a", encoding="utf-8") as file:
-                file.write(json.dumps([name, digest, known[name]]) + "\n")
-        yield name, known[name]
-
-
-def known_alarms(folder: Path) -> list[tuple[str, str]]:
-    """Name of each honest run of the code that was measured last, and its false alarms."""
-    memory = folder / "honest.jsonl"
-    rows = (
-        [json.loads(line) for line in memory.read_text(encoding="utf-8").splitlines()]
-        if memory.is_file()
-        else []
-    )
-    return [(name, said) for name, code, said in rows if code == rows[-1][1]]
+        memory = folder / f"honest-{name.replace('/', '-')}.txt"
+        if not memory.is_file():
+            alarms = _alarms(workshop, workshop.folder, part, control, how)
+            with replacing(memory) as temporary:
+                temporary.write_text(alarms, encoding="utf-8")
+        yield name, memory.read_text(encoding="utf-8")
 
 
 def _alarms(workshop: Workshop, folder: Path, part: str, control: str, how: str) -> str:
     """What is said against a run by its own gates, and by its verification in three ways."""
     settings = SETTINGS.get(how, {})
-    said: dict[str, list[Said]] = {"run": failures(lambda: _made(workshop, part, control, settings))}
+
+    def made() -> list[Check]:  # errors of the run are alarms
+        workshop.finished(SUBJECTS[part], control, **settings)
+        return []
+
+    said: dict[str, list[Said]] = {"run": failures(made)}
     if not said["run"]:
-        made = workshop.finished(SUBJECTS[part], control, **settings)
-        said["verify"] = failures(lambda: verify_run(made.run, made.part))
-        for way in ("text", "bare text"):
-            alone = folder / "honest" / "program"
-            shutil.rmtree(alone.parent, ignore_errors=True)
-            shutil.copytree(made.run / "program", alone)
-            if way == "bare text":
-                strip(alone)
-            said[way] = failures(lambda: verify_against_part(alone, made.part, made.config))  # noqa: B023
+        run = workshop.finished(SUBJECTS[part], control, **settings)
+        alone = folder / "honest" / "program"
+        shutil.rmtree(alone.parent, ignore_errors=True)
+        shutil.copytree(run.run / "program", alone)
+        said["verify"] = failures(lambda: verify_run(run.run, run.part))
+        said["text"] = failures(lambda: verify_against_part(alone, run.part, run.config))
+        strip(alone)
+        said["bare text"] = failures(lambda: verify_against_part(alone, run.part, run.config))
     return "; ".join(
         f"{way}: {', '.join(f'{s.check} ({s.where} {s.text[:LETTERS]})' for s in some)}"
         for way, some in said.items()
         if some
     )
-
-
-def _made(workshop: Workshop, part: str, control: str, settings: dict[str, dict[str, Any]]) -> list[Check]:
-    """Make the run; errors of it are alarms."""
-    workshop.finished(SUBJECTS[part], control, **settings)
-    return []

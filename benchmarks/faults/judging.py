@@ -1,4 +1,4 @@
-"""Verification of a program with a fault in it, both ways, and what it says that it does not say of the sound one."""
+"""What verification says of a program with a fault in it, by run and by text, that it does not say of the sound one."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from benchmarks.faults.finished import Finished
 from benchmarks.faults.kinds import Ground, Place
 from benchmarks.faults.program_text import without_comments
+from benchmarks.faults.subjects import Finished
 from ebamcheck.errors import EbamcheckError
 from ebamcheck.json_values import (
     sha256_of_file,
@@ -64,17 +64,7 @@ class Verdict:
 
 
 def verdict(said: Sequence[Said], sound: frozenset[str], places: Sequence[Place]) -> Verdict:
-    """Set apart what is said of a sound program, too, and compare places.
-
-    Parameters
-    ----------
-    said
-        Of the program with the fault.
-    sound
-        Names of the checks that fail for the sound program.
-    places
-        Where the fault may be told.
-    """
+    """Leave out what is said of the sound program, too, and compare places."""
     new = tuple(s for s in said if s.check not in sound)
     return Verdict(new, tuple(dict.fromkeys(s.check for s in new if is_right(s, places))))
 

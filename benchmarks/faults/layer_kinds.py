@@ -1,354 +1,246 @@
-"""Faults of layers and beads as a whole: in the wrong place, at the wrong size, in another order, or of another part."""
+"""Faults of layers as a whole: left out, doubled, in another order or place, in the air, or of another part."""
 
 from __future__ import annotations
 
-from itertools import pairwise
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-import shapely
 
-from benchmarks.faults.kinds import Ground, NotHereError, Place, kind
-from benchmarks.faults.metal_kinds import bead_end
-from benchmarks.faults.motion_kinds import layer_places
-from benchmarks.faults.program_text import Bead, ProgramText, end_of
-from benchmarks.faults.shapes import Floats, about, bounds, centre, ends, move_lines, turn
+from benchmarks.faults.kinds import METAL, Ground, NotHereError, Place, kind
+from benchmarks.faults.program_text import NUMBER, Bead, Floats, Layer, about, turn, word
 
-ACROSS_MM = 0.1
-"""By so much at least a line runs past another that it crosses."""
+BESIDE_MM = 30.0
+"""Between the part and a body that is laid beside it: further than any pool or bead reaches."""
 
-Line = tuple[tuple[float, float], tuple[float, float]]
-
-# -- layers ------------------------------------------------------------------------------------------------
+MIRROR = np.diag([-1.0, 1.0])
 
 
-def _adjacent(ground: Ground) -> tuple[int, list[list[str]]]:
-    """Number of a layer, and the lines of it and the next, of a program in one file."""
-    layers = ground.text.layers()
-    k = int(ground.random.integers(len(layers) - 1))
-    return k, [ground.text.files[layers[n].file][layers[n].first : layers[n].end] for n in (k, k + 1)]
+def layer_places(ground: Ground, layer: Layer) -> list[Place]:
+    """Lines of a layer, and of its call."""
+    calls = ground.text.find(layer.file[:-4]) if ground.text.sinumerik else []
+    places = ground.line(layer.file, layer.first, layer.end)
+    return places + [place for i in calls for place in ground.line(ground.text.main, i)]
 
 
-@kind("layers swapped", "metal")
-def layers_swapped(ground: Ground) -> list[Place]:
-    """Lay a layer before the one under it."""
+# -- layers that are swapped, left out or doubled ------------------------------------------------------
+
+
+def _swapped(ground: Ground) -> list[Place]:
     text = ground.text
-    k, (below, above) = _adjacent(ground)
-    low, high = text.layers()[k : k + 2]
+    layers = text.layers()
+    k = int(ground.random.integers(len(layers) - 1))
+    low, high = layers[k : k + 2]
     ground.what = f"layer {k + 2} is laid before layer {k + 1}"
+    lines = text.files[text.main]
     if text.sinumerik:
         i, j = (text.find(layer.file[:-4])[0] for layer in (low, high))
-        lines = text.files[text.main]
         lines[i], lines[j] = lines[j], lines[i]
-        return [
-            *ground.line(text.main, i, j + 1),
-            *ground.line(low.file, 0, low.end),
-            *ground.line(high.file, 0, high.end),
-        ]
-    text.files[text.main][low.first : high.end] = above + below
+        files = [place for layer in (low, high) for place in ground.line(layer.file, 0, layer.end)]
+        return [*ground.line(text.main, i, j + 1), *files]
+    lines[low.first : high.end] = lines[high.first : high.end] + lines[low.first : low.end]
     return ground.line(text.main, low.first, high.end)
 
 
-@kind("layer omitted", "metal")
-def layer_omitted(ground: Ground) -> list[Place]:
-    """Leave a layer out, its call and its file."""
+def _taken_out(ground: Ground, layer: Layer) -> int:
+    """Take a layer out, with its call and its file; the line at which it stood in the main program."""
+    text = ground.text
+    if not text.sinumerik:
+        text.delete(text.main, layer.first, layer.end)
+        return layer.first
+    call = text.find(layer.file[:-4])[0]
+    text.delete(text.main, call)
+    del text.files[layer.file]
+    return call
+
+
+def _omitted(ground: Ground) -> list[Place]:
     text, layer = ground.text, ground.layer()
-    ground.what = f"layer {layer.number + 1} is not laid"
+    ground.facts["layer"] = layer.number + 1
+    at = _taken_out(ground, layer)
+    if not text.sinumerik:
+        return ground.line(text.main, at - 1, at + 12)
+    following = [n.file for n in text.layers()][layer.number : layer.number + 1]
+    return ground.line(text.main, at - 1, at + 1) + [Place(f, 1, len(text.files[f])) for f in following]
+
+
+def _last_omitted(ground: Ground) -> list[Place]:
+    text = ground.text
+    at = _taken_out(ground, text.layers()[-1])
     if text.sinumerik:
-        call = text.find(layer.file[:-4])[0]
-        text.delete(text.main, call)
-        del text.files[layer.file]
-        following = [n.file for n in text.layers()][layer.number : layer.number + 1]
-        return ground.line(text.main, call - 1, call + 1) + [
-            Place(f, 1, len(text.files[f])) for f in following
-        ]
-    text.delete(text.main, layer.first, layer.end)
-    return ground.line(text.main, layer.first - 1, layer.first + 12)
+        return ground.line(text.main, at - 2, at + 2)
+    return [Place(text.main, max(at - 12, 1), len(text.files[text.main]))]
 
 
-@kind("layer twice", "metal")
-def layer_twice(ground: Ground) -> list[Place]:
-    """Lay a layer again."""
+def _twice(ground: Ground) -> list[Place]:
     text, layer = ground.text, ground.layer()
-    ground.what = f"layer {layer.number + 1} is laid twice"
+    ground.facts["layer"] = layer.number + 1
     if text.sinumerik:
-        call = text.find(layer.file[:-4])[0]
-        text.insert(text.main, call + 1, layer.file[:-4])
-        return ground.line(text.main, call + 1) + ground.line(layer.file, 0, layer.end)
-    lines = text.files[text.main][layer.first : layer.end]
-    text.insert(text.main, layer.end, *lines)
-    return ground.line(text.main, layer.end, layer.end + len(lines))
+        again = ground.insert(text.main, text.find(layer.file[:-4])[0] + 1, layer.file[:-4])
+        return again + ground.line(layer.file, 0, layer.end)
+    return ground.insert(text.main, layer.end, *text.files[text.main][layer.first : layer.end])
 
 
-def _whole(ground: Ground, matrix: Floats, offset: Floats, what: str, least: int = 0) -> list[Place]:
-    layer = ground.layer(least)
-    move_lines(ground.text, layer.file, range(layer.first, layer.end), matrix, offset)
-    ground.what = f"layer {layer.number + 1} {what}"
+# -- layers elsewhere ----------------------------------------------------------------------------------
+
+
+def _mapped(ground: Ground, by: Callable[[Any], Floats] | None = None) -> list[Place]:
+    """A layer, mapped by a matrix of the variant about the middle of the part, or shifted at random."""
+    if by is None:
+        matrix, offset = np.eye(2), ground.step(ground.variant)
+    else:
+        matrix = by(ground.variant)
+        offset = about(matrix, 0.5 * sum(ground.text.bounds()))
+    layer = ground.layer()
+    ground.text.move(layer.file, range(layer.first, layer.end), matrix, offset)
+    ground.facts["layer"] = layer.number + 1
     return layer_places(ground, layer)
 
 
-@kind("layer scaled", "metal", (1.02, 0.98))
-def scaled(ground: Ground) -> list[Place]:
-    """Scale a layer about its middle."""
-    a = np.eye(2) * ground.variant
-    low, high = bounds(ground.text)
-    return _whole(ground, a, about(a, 0.5 * (low + high)), f"is scaled by {ground.variant:g}")
+def _all_mirrored(ground: Ground) -> list[Place]:
+    offset = about(MIRROR, 0.5 * sum(ground.text.bounds()))
+    for file, lines in ground.text.files.items():
+        ground.text.move(file, range(len(lines)), MIRROR, offset)
+    return ground.whole_program()
 
 
-@kind("layer shifted", "metal", (0.3, 2.0))
-def shifted(ground: Ground) -> list[Place]:
-    """Shift a layer."""
-    angle = ground.random.uniform(0.0, 2.0 * np.pi)
-    offset = ground.variant * np.array([np.cos(angle), np.sin(angle)])
-    return _whole(ground, np.eye(2), offset, f"is shifted by {ground.variant:g} mm")
+def _at_another_height(ground: Ground) -> list[Place]:
+    text, layer = ground.text, ground.layer(1)
+    for i in text.rises(layer, layer.z):
+        text.set_words(layer.file, i, "Z", [layer.z + ground.variant])
+    ground.what = f"layer {layer.number + 1} at Z {layer.z + ground.variant:.3f} in place of {layer.z:.3f}"
+    return layer_places(ground, layer)
 
 
-@kind("layer mirrored", "metal", subjects=("prism", "bored", "two-spheres"))
-def mirrored(ground: Ground) -> list[Place]:
-    """Mirror a layer about the middle of the part."""
-    a = np.diag([-1.0, 1.0])
-    low, high = bounds(ground.text)
-    return _whole(ground, a, about(a, 0.5 * (low + high)), "is mirrored")
+def _lifted(ground: Ground) -> list[Place]:
+    """A layer and all over it, lifted by its height, so that nothing is under them."""
+    text, layers = ground.text, ground.text.layers()
+    first = ground.pick(layers[1:])
+    by_mm = first.z - layers[first.number - 1].z
+    for layer in layers[first.number :]:
+        for i in text.find(rf"G0 Z{NUMBER}", layer.file, layer.first, layer.end):
+            text.set_words(layer.file, i, "Z", [(word(text.code(layer.file, i), "Z") or 0.0) + by_mm])
+    ground.what = f"layers from {first.number + 1} on are lifted by {by_mm:.3f} mm"
+    return [Place(layer.file, layer.first + 1, layer.end) for layer in layers[first.number :]]
 
 
-@kind("layer turned", "metal", (1.5, 90.0), subjects=("prism", "bored", "two-spheres"))
-def turned(ground: Ground) -> list[Place]:
-    """Turn a layer about the middle of the part."""
-    a = turn(ground.variant)
-    low, high = bounds(ground.text)
-    return _whole(ground, a, about(a, 0.5 * (low + high)), f"is turned by {ground.variant:g} deg")
+# -- metal over nothing --------------------------------------------------------------------------------
 
 
-@kind("part mirrored", "metal", subjects=("prism", "two-spheres"))
-def all_mirrored(ground: Ground) -> list[Place]:
-    """Mirror the whole program."""
-    text = ground.text
-    a = np.diag([-1.0, 1.0])
-    low, high = bounds(text)
-    for file, lines in text.files.items():
-        move_lines(text, file, range(len(lines)), a, about(a, 0.5 * (low + high)))
-    ground.what = "every layer is mirrored"
-    return [Place(file, 1, len(lines)) for file, lines in text.files.items()]
+def _ends_of(ground: Ground, layer: Layer) -> tuple[Bead, Bead]:
+    """First and last bead of a layer."""
+    beads = [bead for bead in ground.text.beads() if bead.layer == layer.number]
+    if not beads:
+        raise NotHereError
+    return beads[0], beads[-1]
 
 
-@kind("contour inset", "metal", (3.0, 0.3))
-def contour_inset(ground: Ground) -> list[Place]:
-    """Bring a contour nearer to its middle."""
-    text, bead = ground.text, ground.bead(contour=True, motions=3)
-    points = ends(text, bead.file, bead.motions)
-    half = 0.5 * float(np.ptp(points, axis=0).min())
-    a = np.eye(2) * (1.0 - ground.variant / max(half, 2.0 * ground.variant))
-    way = [i for i in range(bead.travel, bead.on) if text.code(bead.file, i).startswith("G0 X")]
-    move_lines(text, bead.file, (*way, *bead.motions), a, about(a, centre(text, bead.file, bead.motions)))
-    ground.what = f"a contour moved inward by {ground.variant:g} mm"
-    return ground.line(bead.file, bead.travel, bead.off)
+def _body_in_the_air(ground: Ground) -> list[Place]:
+    """All that a layer and those over it have once more, beside the part."""
+    text, first = ground.text, ground.variant
+    low, high = text.bounds()
+    offset = (-(float(high[0] - low[0]) + BESIDE_MM), 0.0)
+    places: list[Place] = []
+    for layer in reversed(text.layers()[first:]):
+        begin, end = _ends_of(ground, layer)
+        lines = [f"G0 Z{layer.safe_z:.6f}", *text.files[layer.file][begin.travel : end.off + 1]]
+        again = ground.insert(layer.file, end.off + 1, *lines)
+        text.move(layer.file, range(end.off + 1, end.off + 1 + len(lines)), np.eye(2), offset)
+        places = again + places
+    if not places:
+        raise NotHereError
+    ground.facts["layer"] = first + 1
+    return places
 
 
-@kind(
-    "hatch turned",
-    "metal",
-    (45.0, 90.0),
-    unseen="lines of another direction that stay within their island, and lay its metal within the limits, are a hatch as good",
-)
-def hatch_turned(ground: Ground) -> list[Place]:
-    """Turn the lines of an island about its middle."""
-    return _turned(ground, ground.bead(contour=False, motions=4))
+def _over_an_empty_layer(ground: Ground) -> list[Place]:
+    """A layer without beads is called, and those over it are laid."""
+    text, layers = ground.text, ground.text.layers()
+    layer = ground.pick(layers[:-1])
+    begin, end = _ends_of(ground, layer)
+    text.delete(layer.file, begin.travel, end.off + 1)
+    over = layers[layer.number + 1]
+    gone = end.off + 1 - begin.travel if over.file == layer.file else 0
+    ground.facts["layer"] = layer.number + 1
+    return ground.line(layer.file, begin.travel) + ground.line(over.file, over.first - gone, over.end - gone)
 
 
-@kind(
-    "hatch turned across other beads",
-    "metal",
-    (45.0, 90.0),
-    subjects=("prism", "bored", "torus", "two-spheres"),
-)
-def hatch_turned_across(ground: Ground) -> list[Place]:
-    """Turn the lines of an island about its middle, so that one runs across a bead of its layer."""
-    text = ground.text
-    found = [b for b in text.beads(contour=False) if len(b.motions) >= 4 and _runs_across(text, b, turn(ground.variant))]  # fmt: skip
-    return _turned(ground, ground.pick(found))
+# -- order within a layer ------------------------------------------------------------------------------
 
 
-def _turned(ground: Ground, bead: Bead) -> list[Place]:
-    text, a = ground.text, turn(ground.variant)
-    way = [i for i in range(bead.travel, bead.on) if text.code(bead.file, i).startswith("G0 X")]
-    move_lines(text, bead.file, (*way, *bead.motions), a, about(a, centre(text, bead.file, bead.motions)))
-    ground.what = f"an island turned by {ground.variant:g} deg"
-    return ground.line(bead.file, bead.travel, bead.off)
+def _exchanged(ground: Ground, layer: Layer, a: int, b: int, c: int) -> list[Place]:
+    """Exchange the lines from `a` and those from `b` up to `c`, with a rise before each."""
+    lines, rise = ground.text.files[layer.file], f"G0 Z{layer.safe_z:.6f}"
+    lines[a:c] = [rise, *lines[b:c], rise, *lines[a:b]]
+    return ground.line(layer.file, a, c + 2)
 
 
-def _runs_across(text: ProgramText, bead: Bead, a: Floats) -> bool:
-    """Whether a bead that is mapped by `a` about its middle runs across a straight line of another of its layer."""
-    offset = about(a, centre(text, bead.file, bead.motions))
-    mine = [shapely.LineString(np.array(line) @ a.T + offset) for line in _lines(text, bead)]
-    others = [
-        shapely.LineString(line)
-        for other in text.beads()
-        if other.layer == bead.layer and other != bead
-        for line in _lines(text, other)
-    ]
-    return any(
-        one.crosses(other) and min(other.distance(shapely.Point(end)) for end in one.coords) > ACROSS_MM
-        for one in mine
-        for other in others
-    )
-
-
-def _lines(text: ProgramText, bead: Bead) -> list[Line]:
-    """Start and end of every straight motion of a bead."""
-    codes = [text.code(bead.file, i) for i in bead.motions]
-    places = [bead.start]
-    for code in codes:
-        places.append(end_of(code, places[-1]))
-    return [line for line, code in zip(pairwise(places), codes, strict=True) if code.startswith("G1 ")]
-
-
-def _bead_shifted(ground: Ground, bead: Bead) -> list[Place]:
-    text = ground.text
-    angle = ground.random.uniform(0.0, 2.0 * np.pi)
-    way = [i for i in range(bead.travel, bead.on) if text.code(bead.file, i).startswith("G0 X")]
-    offset = ground.variant * np.array([np.cos(angle), np.sin(angle)])
-    move_lines(text, bead.file, (*way, *bead.motions), np.eye(2), offset)
-    ground.what = f"a bead of {'a contour' if bead.contour else 'an island'} shifted by {ground.variant:g} mm"
-    return ground.line(bead.file, bead.travel, bead.off)
-
-
-@kind("contour shifted", "metal", (0.3, 1.5))
-def contour_shifted(ground: Ground) -> list[Place]:
-    """Shift a contour as a whole."""
-    return _bead_shifted(ground, ground.bead(contour=True))
-
-
-@kind("island shifted", "metal", (4.0, 6.0))
-def island_shifted(ground: Ground) -> list[Place]:
-    """Shift the lines of an island as a whole."""
-    return _bead_shifted(ground, ground.bead(contour=False, motions=3))
-
-
-@kind("island shifted a little", "metal", (0.3, 2.0), unseen="beads overlap by more, so that no gap over the limit opens")  # fmt: skip
-def island_shifted_a_little(ground: Ground) -> list[Place]:
-    """Shift the lines of an island by less than what the text's metal shows."""
-    return _bead_shifted(ground, ground.bead(contour=False))
-
-
-# -- order -------------------------------------------------------------------------------------------------
-
-
-@kind("contours after the hatch", "metal", unseen="an order that changes no metal")
-def contours_last(ground: Ground) -> list[Place]:
-    """Lay the contours of a layer after its islands."""
-    text = ground.text
-    beads = text.beads()
-    layer = ground.pick(
-        [n for n in text.layers() if {True, False} <= {b.contour for b in beads if b.layer == n.number}]
-    )
+def _contours_last(ground: Ground) -> list[Place]:
+    text, beads = ground.text, ground.text.beads()
+    both = [n for n in text.layers() if {True, False} <= {b.contour for b in beads if b.layer == n.number}]
+    layer = ground.pick(both)
     lines = text.files[layer.file]
-    a = next(i for i in range(layer.first, layer.end) if lines[i].startswith("; RING"))
-    b = next(i for i in range(layer.first, layer.end) if lines[i].startswith("; ISLAND"))
-    end = max(bead.off for bead in beads if bead.layer == layer.number) + 1
-    rise = f"G0 Z{layer.safe_z:.6f}"
-    lines[a:end] = [rise, *lines[b:end], rise, *lines[a:b]]
-    ground.what = f"contours of layer {layer.number + 1} come after its islands"
-    return ground.line(layer.file, a, end + 2)
+    a, b = (
+        next(i for i in range(layer.first, layer.end) if lines[i].startswith(f"; {role}"))
+        for role in ("RING", "ISLAND")
+    )
+    ground.facts["layer"] = layer.number + 1
+    return _exchanged(ground, layer, a, b, max(b.off for b in beads if b.layer == layer.number) + 1)
 
 
-@kind("islands in another order", "metal", unseen="an order that changes no metal")
-def islands_swapped(ground: Ground) -> list[Place]:
-    """Exchange two neighbouring islands."""
-    text = ground.text
-    found = []
+def _islands_swapped(ground: Ground) -> list[Place]:
+    text, found = ground.text, []
     for layer in text.layers():
         lines = text.files[layer.file]
         marks = [i for i in range(layer.first, layer.end) if lines[i].startswith("; ISLAND")]
         last = max((b.off + 1 for b in text.beads() if b.layer == layer.number), default=0)
         found += [(layer, *x) for x in zip(marks, marks[1:], [*marks[2:], last], strict=False)]
-    layer, a, b, c = ground.pick(found)
-    lines = text.files[layer.file]
-    rise = f"G0 Z{layer.safe_z:.6f}"
-    lines[a:c] = [rise, *lines[b:c], rise, *lines[a:b]]
-    ground.what = "two islands change places"
-    return ground.line(layer.file, a, c + 2)
+    return _exchanged(ground, *ground.pick(found))
 
 
-@kind("bead reversed", "metal", unseen="the same metal, laid from the other end")
-def reversed_bead(ground: Ground) -> list[Place]:
-    """Lay a single line from its end to its start."""
-    text = ground.text
-    found = [b for b in text.beads(contour=False) if len(b.motions) == 1 and text.code(b.file, b.first).startswith("G1 ")
-             and any(text.code(b.file, i).startswith("G0 X") for i in range(b.travel, b.on))]  # fmt: skip
-    bead = ground.pick(found)
-    way = next(i for i in range(bead.travel, bead.on) if text.code(bead.file, i).startswith("G0 X"))
-    end = bead_end(text, bead)
-    for name, here, there in zip("XY", bead.start, end, strict=True):
-        text.set_word(bead.file, way, name, there)
-        text.set_word(bead.file, bead.first, name, here)
-    ground.what = "a line laid from its end"
-    return ground.line(bead.file, way, bead.off)
+# -- other programs ------------------------------------------------------------------------------------
 
 
-@kind(
-    "seam moved",
-    "metal",
-    unseen="a contour that starts elsewhere is the same contour",
-    subjects=("cube", "prism"),
-)
-def seam_moved(ground: Ground) -> list[Place]:
-    """Start a contour at its second corner."""
-    text = ground.text
-    found = [
-        b
-        for b in text.beads(contour=True)
-        if all(text.code(b.file, i).startswith("G1 ") for i in b.motions)
-        and b.last - b.first == len(b.motions) - 1
-    ]
-    bead = ground.pick(found)
-    points = ends(text, bead.file, bead.motions)
-    way = next(i for i in range(bead.travel, bead.on) if text.code(bead.file, i).startswith("G0 X"))
-    shifted_points = [*points[1:], points[0]]
-    for name, value in zip("XY", points[0], strict=True):
-        text.set_word(bead.file, way, name, float(value))
-    for i, place in zip(bead.motions, shifted_points, strict=True):
-        for name, value in zip("XY", place, strict=True):
-            text.set_word(bead.file, i, name, float(value))
-    ground.what = "a contour starts one corner later"
-    return ground.line(bead.file, bead.travel, bead.off)
-
-
-# -- other programs ----------------------------------------------------------------------------------------
-
-
-@kind("program of another part", "metal")
-def other_part(ground: Ground) -> list[Place]:
-    """Put the program of another part in the place of this one's."""
-    name = "cube" if ground.subject.name != "cube" else "prism"
-    return _exchanged(ground, f"that of the part {name}", name)
-
-
-@kind("program of another layer height", "metal", subjects=("cube", "prism", "bored"))
-def other_layers(ground: Ground) -> list[Place]:
-    """Put the program of the same part, cut into other layers, in the place of this one's."""
-    return _exchanged(ground, "that of layers of 1.25 mm", layers={"layer_height_mm": 1.25})
-
-
-@kind("program of another bead width", "metal", subjects=("cube", "prism", "bored"))
-def other_width(ground: Ground) -> list[Place]:
-    """Put the program of the same part by narrower beads in the place of this one's."""
-    return _exchanged(ground, "that of beads of 5 mm", process={"bead_width_mm": 5.0})
-
-
-def _exchanged(ground: Ground, what: str, name: str = "", **changes: dict[str, Any]) -> list[Place]:
-    """Put another program in the place of this one's; every line of it is at fault."""
+def _another_program(ground: Ground, part: str = "", **changes: dict[str, Any]) -> list[Place]:
+    """Another program in the place of this one's; every line of it is at fault."""
     if ground.other is None:
         raise NotHereError
-    ground.text.files = ground.other(name or ground.subject.name, **changes).files
-    ground.what = f"the program is {what}"
-    return [Place(file, 1, len(lines)) for file, lines in ground.text.files.items()]
+    name = part or ground.subject.name
+    if name == part == ground.subject.name:
+        name = "prism"
+    ground.text.files = ground.other(name, **changes).files
+    ground.facts["part"] = name
+    return ground.whole_program()
 
 
-@kind("twelve sides made a circle", "metal", subjects=("twelve-sides",))
-def made_round(ground: Ground) -> list[Place]:
-    """Put the program of the circle about a part of twelve sides in the place of this one's."""
-    if ground.other is None:
-        raise NotHereError
-    ground.text.files = ground.other("round").files
-    ground.what = "the program is that of the circle about the part, 0.988 mm off"
-    return [Place(file, 1, len(lines)) for file, lines in ground.text.files.items()]
+# -- the kinds -------------------------------------------------------------------------------------------
+
+UNEVEN_PARTS = ("prism", "bored", "two-spheres")
+FLAT_PARTS = ("cube", "prism", "bored")
+# fmt: off
+kind("layers swapped", METAL, _swapped)
+kind("layer omitted", METAL, _omitted, what="layer {layer} is not laid")
+kind("last layer missing", METAL, _last_omitted, what="the last layer is missing")
+kind("layer twice", METAL, _twice, what="layer {layer} is laid twice")
+kind("layer scaled", METAL, _mapped, (1.02, 0.98), by=lambda factor: np.eye(2) * factor, what="layer {layer} is scaled by {v:g}")
+kind("layer shifted", METAL, _mapped, (0.3, 2.0), what="layer {layer} is shifted by {v:g} mm")
+kind("layer mirrored", METAL, _mapped, by=lambda _: MIRROR, subjects=UNEVEN_PARTS, what="layer {layer} is mirrored")
+kind("layer turned", METAL, _mapped, (1.5, 90.0), by=turn, subjects=UNEVEN_PARTS, what="layer {layer} is turned by {v:g} deg")
+kind("part mirrored", METAL, _all_mirrored, subjects=("prism", "two-spheres"), what="every layer is mirrored")
+kind("layer at another height", METAL, _at_another_height, (0.3, -0.3))
+kind("layers lifted", METAL, _lifted)
+kind("body that begins in the air", METAL, _body_in_the_air, (1, 2),
+     what="a body beside the part from layer {layer} on, with nothing under it")
+kind("body over an empty layer", METAL, _over_an_empty_layer,
+     what="layer {layer} lays nothing, those over it lie in the air")
+kind("contours after the hatch", METAL, _contours_last, what="contours of layer {layer} come after its islands",
+     unseen="an order that changes no metal")
+kind("islands in another order", METAL, _islands_swapped, what="two islands change places", unseen="an order that changes no metal")
+kind("program of another part", METAL, _another_program, part="cube", what="the program is that of the part {part}")
+kind("program of another layer height", METAL, _another_program, subjects=FLAT_PARTS, layers={"layer_height_mm": 1.25},
+     what="the program is that of layers of 1.25 mm")
+kind("program of another bead width", METAL, _another_program, subjects=FLAT_PARTS, process={"bead_width_mm": 5.0},
+     what="the program is that of beads of 5 mm")
+kind("twelve sides made a circle", METAL, _another_program, subjects=("twelve-sides",), part="round",
+     what="the program is that of the circle about the part, 0.988 mm off")
+# fmt: on

@@ -5,10 +5,17 @@ Nothing of the product's readers is used: what is planted must not depend on wha
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Floats = NDArray[np.float64]
+Point = tuple[float, float]
 
 NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)"
 
@@ -25,28 +32,27 @@ class Codes:
     power: str
     voltage: str
     pause: str
-    wire_block: str
-    """Block that sets a wire speed, to be formatted."""
     pause_block: str
+    """Block of a wait, to be formatted."""
 
 
 CODES = {
     "sinumerik-840d-sl": Codes(
         r"M60", r"M61", r"M62", r"M63", rf"H3=({NUMBER})", rf"H2=({NUMBER})", rf"H1=({NUMBER})", rf"G4 F({NUMBER})",
-        "H3={:g}", "G4 F{:g}",
+        "G4 F{:g}",
     ),
     "linuxcnc": Codes(
         r"M64 P0", r"M65 P0", r"M64 P1", r"M65 P1", rf"M6[78] E2 Q({NUMBER})", rf"M6[78] E1 Q({NUMBER})",
-        rf"M68 E0 Q({NUMBER})", rf"G4 P({NUMBER})", "M68 E2 Q{:g}", "G4 P{:g}",
+        rf"M68 E0 Q({NUMBER})", rf"G4 P({NUMBER})", "G4 P{:g}",
     ),
     "plain-gcode": Codes(
         rf"M3 S{NUMBER}", r"M5", r"M8", r"M9", rf"M42 P1 S({NUMBER})", rf"(?:M3 )?S({NUMBER})", r"(?!)", rf"G4 S({NUMBER})",
-        "M42 P1 S{:g}", "G4 S{:g}",
+        "G4 S{:g}",
     ),
 }  # fmt: skip
 
 _BLOCK_NUMBER = re.compile(r"^N\d+ ?")
-_MOTION = re.compile(r"^(G0|G1|G2|G3|G5|POLY)\b")
+_MOTION = re.compile(r"(G[01235]|POLY)\b")
 _ROLE = re.compile(r"^; (RING|ISLAND) (\d+)$")
 _LAYER = re.compile(r"^; LAYER: (\d+) OF")
 
@@ -65,7 +71,7 @@ class Bead:
     motions: tuple[int, ...]
     off: int
     """Line that switches the beam off: the last one."""
-    start: tuple[float, float]
+    start: Point
 
     @property
     def first(self) -> int:
@@ -76,6 +82,10 @@ class Bead:
     def last(self) -> int:
         """Line of its last motion."""
         return self.motions[-1]
+
+    def after(self, i: int) -> int:
+        """Line of the motion after one of them."""
+        return self.motions[self.motions.index(i) + 1]
 
 
 @dataclass(frozen=True)
@@ -88,6 +98,11 @@ class Layer:
     end: int
     z: float
     safe_z: float
+
+    def way_to(self, point: Point) -> list[str]:
+        """Blocks that rise, travel, and descend."""
+        x, y = point
+        return [f"G0 Z{self.safe_z:.6f}", f"G0 X{x:.6f} Y{y:.6f}", f"G0 Z{self.z:.6f}"]
 
 
 @dataclass
@@ -189,7 +204,7 @@ class ProgramText:
                     travel = i
                 here = end_of(code, here)
 
-    def position(self, file: str, i: int) -> tuple[float, float]:
+    def position(self, file: str, i: int) -> Point:
         """Place in X and Y before a line."""
         here = (0.0, 0.0)
         for line in self.files[file][:i]:
@@ -197,6 +212,35 @@ class ProgramText:
             if _MOTION.match(code):
                 here = end_of(code, here)
         return here
+
+    def ways(self, bead: Bead) -> list[int]:
+        """Lines of the ways in X and Y to a bead."""
+        return [i for i in range(max(bead.travel, 0), bead.on) if self.code(bead.file, i).startswith("G0 X")]
+
+    def rises(self, layer: Layer, z: float) -> list[int]:
+        """Lines of a layer that lead straight to a height."""
+        rows = self.find(rf"G0 Z{NUMBER}", layer.file, layer.first, layer.end)
+        return [i for i in rows if word(self.code(layer.file, i), "Z") == z]
+
+    def ends(self, file: str, lines: Iterable[int]) -> Floats:
+        """Ends of the motions in X and Y of some lines, (n, 2)."""
+        codes = [self.code(file, i) for i in lines]
+        places = [[word(code, a, word(code, f"PO[{a}]=(")) for a in "XY"] for code in codes]
+        return np.array([place for place in places if None not in place], float).reshape(-1, 2)
+
+    def centre(self, file: str, lines: Iterable[int]) -> Floats:
+        """Middle of the box around the ends of some lines."""
+        points = self.ends(file, lines)
+        return np.asarray(0.5 * (points.min(axis=0) + points.max(axis=0)))
+
+    def bounds(self) -> tuple[Floats, Floats]:
+        """Least and greatest X, Y of all ends of motions."""
+        points = np.concatenate([self.ends(file, range(len(lines))) for file, lines in self.files.items()])
+        return points.min(axis=0), points.max(axis=0)
+
+    def pause(self, seconds: float) -> str:
+        """Block of a wait."""
+        return self.codes.pause_block.format(seconds)
 
     def is_turn(self, file: str, i: int) -> bool:
         """Whether a motion joins two lines of a hatch."""
@@ -209,21 +253,26 @@ class ProgramText:
         _, mark, comment = self.files[file][i].partition(" ;")
         self.files[file][i] = f"{code}{mark}{comment}"
 
-    def set_word(self, file: str, i: int, address: str, value: float) -> None:
-        """Put another number behind an address."""
-        self.set(file, i, with_word(self.code(file, i), address, value))
+    def set_words(self, file: str, i: int, addresses: str, values: Iterable[float]) -> None:
+        """Put other numbers behind addresses."""
+        code = self.code(file, i)
+        for address, value in zip(addresses, values, strict=True):
+            code = with_word(code, address, float(value))
+        self.set(file, i, code)
 
-    def insert(self, file: str, i: int, *blocks: str) -> int:
-        """Insert blocks before a line, and return the line after them."""
+    def move(self, file: str, lines: Iterable[int], matrix: ArrayLike, offset: ArrayLike) -> None:
+        """Map the motions of some lines by ``matrix p + offset``."""
+        for i in lines:
+            if _MOTION.match(code := self.code(file, i)):
+                self.set(file, i, moved(code, matrix, offset))
+
+    def insert(self, file: str, i: int, *blocks: str) -> None:
+        """Insert blocks before a line."""
         self.files[file][i:i] = blocks
-        return i + len(blocks)
 
-    def delete(self, file: str, first: int, end: int | None = None) -> list[str]:
-        """Take lines out, one or up to `end`, and return them."""
-        stop = first + 1 if end is None else end
-        taken = self.files[file][first:stop]
-        del self.files[file][first:stop]
-        return taken
+    def delete(self, file: str, first: int, end: int | None = None) -> None:
+        """Take lines out, one or up to `end`."""
+        del self.files[file][first : first + 1 if end is None else end]
 
     # -- writing -------------------------------------------------------------------------------------
 
@@ -249,7 +298,7 @@ def word(code: str, address: str, otherwise: float | None = None) -> float | Non
     return float(found[1]) if found else otherwise
 
 
-def end_of(code: str, here: tuple[float, float]) -> tuple[float, float]:
+def end_of(code: str, here: Point) -> Point:
     """Place in X and Y after a motion from `here`."""
     ends = [word(code, axis, word(code, f"PO[{axis}]=(")) for axis in "XY"]
     x, y = (at if end is None else end for end, at in zip(ends, here, strict=True))
@@ -262,6 +311,48 @@ def with_word(code: str, address: str, value: float) -> str:
     return re.sub(
         rf"(?<![A-Z\[=])({re.escape(address)}){NUMBER}", rf"\g<1>{value:.{decimals}f}", code, count=1
     )
+
+
+def moved(code: str, matrix: ArrayLike, offset: ArrayLike = (0.0, 0.0)) -> str:
+    """Return a motion's block with its path mapped by ``matrix p + offset``; one without X and Y stays."""
+    a, b = np.asarray(matrix, float), np.asarray(offset, float)
+    if code.startswith("POLY"):
+        lists = re.findall(r"PO\[[XY]\]=\(([^)]*)\)", code)
+        values = a @ np.array([[float(v) for v in some.split(",")] for some in lists])
+        values[:, 0] += b
+        for axis, row in zip("XY", values, strict=True):
+            numbers = ",".join(f"{v:.6f}" for v in row)
+            code = re.sub(rf"PO\[{axis}\]=\([^)]*\)", f"PO[{axis}]=({numbers})", code)
+        return code
+    if word(code, "X") is None or word(code, "Y") is None:
+        return code
+    for names, shift in (
+        ("XY", b),
+        ("IJ", 0.0),
+        ("PQ", 0.0),
+    ):  # a vector to a centre or a handle is not shifted
+        u, v = (word(code, name) for name in names)
+        if u is not None and v is not None:
+            for name, value in zip(names, a @ (u, v) + shift, strict=True):
+                code = with_word(code, name, float(value))
+    return reversed_arc(code) if np.linalg.det(a) < 0.0 else code
+
+
+def reversed_arc(code: str) -> str:
+    """Return an arc's block with its direction reversed."""
+    return {"G2": "G3", "G3": "G2"}.get(code[:2], code[:2]) + code[2:]
+
+
+def turn(angle_deg: float) -> Floats:
+    """Matrix of a turn, counter-clockwise."""
+    c, s = math.cos(math.radians(angle_deg)), math.sin(math.radians(angle_deg))
+    return np.array([[c, -s], [s, c]])
+
+
+def about(matrix: ArrayLike, centre: ArrayLike) -> Floats:
+    """Offset by which a matrix leaves a centre where it is."""
+    c = np.asarray(centre, float)
+    return np.asarray(c - np.asarray(matrix, float) @ c)
 
 
 def numbered(lines: list[str]) -> list[str]:

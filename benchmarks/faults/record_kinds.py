@@ -9,157 +9,109 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from benchmarks.faults.kinds import LINUXCNC, PLAIN, SINUMERIK, Ground, NotHereError, Place, kind
+from benchmarks.faults.kinds import PLAIN, RECORD, SINUMERIK, Ground, NotHereError, Place, kind
+from benchmarks.faults.subjects import CONTROLS
+from ebamcheck.record.certificate import seal
 
-HEX = "0123456789abcdef"
-
-
-def _header_line(ground: Ground, key: str) -> tuple[str, int]:
-    lines = ground.text.files[ground.text.main]
-    for i, line in enumerate(lines):
-        if line.startswith(f"; {key}"):
-            return ground.text.main, i
-    raise NotHereError
+# -- comments at the head ------------------------------------------------------------------------------
 
 
-def _status(ground: Ground, file: str) -> int:
-    """Line of the status of a file that is validated."""
+def _status_line(ground: Ground, file: str, status: str) -> list[Place]:
+    """Another status in the place of that of a file that is validated."""
     lines = ground.text.files[file]
     if "; VALIDATED" not in lines:
         raise NotHereError
-    return lines.index("; VALIDATED")
-
-
-@kind(
-    "header says not validated",
-    "record",
-    {SINUMERIK: ("every file", "one file"), LINUXCNC: ("every file",), PLAIN: ("every file",)},
-    unseen="whether a program was validated is no property of its text: one from `post` says so rightly until a run proves it, and nobody runs it",
-    unseen_variants=("every file",),
-    in_comments=True,
-)
-def not_validated(ground: Ground) -> list[Place]:
-    """Change the status of files."""
-    text = ground.text
-    files = list(text.files) if ground.variant == "every file" else [ground.pick(list(text.files))]
-    places = []
-    for file in files:
-        i = _status(ground, file)
-        text.files[file][i] = "; NOT VALIDATED"
-        places += ground.line(file, i)
-    ground.what = f"NOT VALIDATED in {ground.variant}"
-    return places
-
-
-@kind("header without a status", "record", in_comments=True)
-def no_status(ground: Ground) -> list[Place]:
-    """Take the status out."""
-    text = ground.text
-    file = ground.pick(list(text.files))
-    i = _status(ground, file)
-    text.files[file][i] = "; RELEASED"
-    ground.what = "no status"
+    i = lines.index("; VALIDATED")
+    lines[i] = f"; {status}"
     return ground.line(file, i)
 
 
-@kind(
-    "header of another run",
-    "record",
-    ("PART SHA-256", "SETTINGS SHA-256", "LAYERS", "CONTROL", "BEAM", "WIRE", "COORDINATES", "CURVES", "SMOOTHING", "MACHINE"),
-    in_comments=True,
-    unseen="who verifies a text alone may give other settings than those that it was made with: the check tells it, and is no fault",
-    unseen_variants=("SETTINGS SHA-256",),
-)  # fmt: skip
-def other_header(ground: Ground) -> list[Place]:
-    """Change a line of the header."""
-    if ground.variant == "SMOOTHING" and ground.text.control == PLAIN:
+def _not_validated(ground: Ground) -> list[Place]:
+    files = list(ground.text.files)
+    some = files if ground.variant == "every file" else [ground.pick(files)]
+    return [place for file in some for place in _status_line(ground, file, "NOT VALIDATED")]
+
+
+HEADERS = {
+    "PART SHA-256": "", "SETTINGS SHA-256": "", "LAYERS": "99", "CONTROL": "FANUC 31i", "BEAM": "600 W (60 kV, 10 mA)",
+    "WIRE": "Al, 3.2 mm, by hand", "COORDINATES": "X Y of the machine, inches", "CURVES": "lines, within 1 mm",
+    "SMOOTHING": "G64, path may leave the program by 9 mm", "MACHINE": "another machine",
+}  # fmt: skip
+"""Lines of a header, and what they say wrongly; of a hash, other digits."""
+
+
+def _header(ground: Ground) -> list[Place]:
+    lines = ground.text.files[ground.text.main]
+    key = f"; {ground.variant}:"
+    i = next((i for i, line in enumerate(lines) if line.startswith(key)), None)
+    if i is None or (ground.variant == "SMOOTHING" and ground.text.control == PLAIN):
         raise NotHereError
-    file, i = _header_line(ground, f"{ground.variant}:")
-    lines = ground.text.files[file]
-    if "SHA" in ground.variant:
-        value = "".join(ground.pick(HEX) for _ in range(64))
-    elif ground.variant == "LAYERS":
-        value = "99"
-    else:
-        value = {
-            "CONTROL": "FANUC 31i", "BEAM": "600 W (60 kV, 10 mA)", "WIRE": "Al, 3.2 mm, by hand", "CURVES": "lines, within 1 mm",
-            "COORDINATES": "X Y of the machine, inches", "SMOOTHING": "G64, path may leave the program by 9 mm",
-            "MACHINE": "another machine",
-        }[ground.variant]  # fmt: skip
-    lines[i] = f"; {ground.variant}: {value}"
+    value = HEADERS[ground.variant] or "".join(ground.pick("0123456789abcdef") for _ in range(64))
+    lines[i] = f"{key} {value}"
     ground.what = f"{ground.variant}: {value[:24]}"
-    return ground.line(file, i)
+    return ground.line(ground.text.main, i)
 
 
-@kind("layer comment of another layer", "record", ("number", "Z", "cut"), in_comments=True)
-def layer_comment(ground: Ground) -> list[Place]:
-    """Say another layer in the comment at its head."""
-    text = ground.text
-    found = [
+LAYER_COMMENT = {
+    "number": (r"LAYER: \d+", "LAYER: 1"),
+    "Z": (r" Z [\d.]+", " Z 99.000000"),
+    "cut": (r"CUT AT [-\d.]+", "CUT AT 77.000000"),
+}
+
+
+def _layer_comment(ground: Ground) -> list[Place]:
+    every = [
         (f, i)
-        for f, lines in text.files.items()
+        for f, lines in ground.text.files.items()
         for i, line in enumerate(lines)
         if line.startswith("; LAYER: ")
     ]
-    file, i = ground.pick(found[1:])
-    line = text.files[file][i]
-    edits = {
-        "number": (r"LAYER: \d+", "LAYER: 1"),
-        "Z": (r" Z [\d.]+", " Z 99.000000"),
-        "cut": (r"CUT AT [-\d.]+", "CUT AT 77.000000"),
-    }
-    text.files[file][i] = re.sub(*edits[ground.variant], line)
-    ground.what = f"{ground.variant} of a layer's comment"
+    file, i = ground.pick(every[1:])
+    ground.text.files[file][i] = re.sub(*LAYER_COMMENT[ground.variant], ground.text.files[file][i])
     return ground.line(file, i)
 
 
-@kind("$PATH", "record", ("another", "missing"), controls=(SINUMERIK,))
-def other_path(ground: Ground) -> list[Place]:
-    """Lead a file to another folder of the control."""
+def _path(ground: Ground) -> list[Place]:
     file = ground.pick(list(ground.text.files))
-    lines = ground.text.files[file]
-    lines[1] = ";$PATH=/_N_WKS_DIR/_N_OTHER_WPD" if ground.variant == "another" else "; PATH"
-    ground.what = f"$PATH {ground.variant}"
+    ground.text.files[file][1] = (
+        ";$PATH=/_N_WKS_DIR/_N_OTHER_WPD" if ground.variant == "another" else "; PATH"
+    )
     return ground.line(file, 1)
+
+
+def _name(ground: Ground) -> list[Place]:
+    layer = ground.layer()
+    lines = ground.text.files[layer.file]
+    lines[0] = lines[0].replace("_L", "_K")
+    return ground.line(layer.file, 0)
 
 
 # -- record and certificate ----------------------------------------------------------------------------
 
+Change = Callable[[dict[str, Any]], object]
+PAPERS = [Place("run.json", 1, 1), Place("certificate.json", 1, 1)]
 
-def _manifest(change: Callable[[dict[str, Any]], None]) -> Callable[[Path], None]:
+
+def _changed(name: str, change: Change) -> Callable[[Path], None]:
+    """Change a JSON file of a run."""
+
     def forge(run: Path) -> None:
-        path = run / "run.json"
-        found = json.loads(path.read_text(encoding="utf-8"))
-        change(found)
-        path.write_text(json.dumps(found, indent=2, sort_keys=True), encoding="utf-8")
+        content = json.loads((run / name).read_text(encoding="utf-8"))
+        change(content)
+        (run / name).write_text(json.dumps(content, indent=2, sort_keys=True), encoding="utf-8")
 
     return forge
 
 
-def _certificate(change: Callable[[dict[str, Any]], None]) -> Callable[[Path], None]:
-    def forge(run: Path) -> None:
-        path = run / "certificate.json"
-        found = json.loads(path.read_text(encoding="utf-8"))
-        change(found)
-        path.write_text(json.dumps(found, indent=2, sort_keys=True), encoding="utf-8")
-
-    return forge
+def _gate(name: str, **values: Any) -> Change:
+    return lambda record: [gate.update(values) for gate in record["gates"] if gate["name"] == name]
 
 
-def _gate(name: str, **values: Any) -> Callable[[dict[str, Any]], None]:
-    def change(record: dict[str, Any]) -> None:
-        for gate in record["gates"]:
-            if gate["name"] == name:
-                gate.update(values)
-
-    return change
-
-
-def _setting(section: str, **values: Any) -> Callable[[dict[str, Any]], None]:
+def _setting(section: str, **values: Any) -> Change:
     return lambda record: record["settings"][section].update(values)
 
 
-FORGED: dict[str, Callable[[dict[str, Any]], None]] = {
+FORGED: dict[str, Change] = {
     "figure of the fit gate": _gate("fit", figure=0.0001, text="curves within 0.0001 mm of the contours"),
     "figure under its limit, still passed": _gate("coverage", figure=0.5),
     "limit of a gate": _gate("coverage", limit=0.1),
@@ -176,70 +128,73 @@ FORGED: dict[str, Callable[[dict[str, Any]], None]] = {
 }
 """Changes of ``run.json``; hash of the settings and certificate are made anew."""
 
-CONTROLS_IN_TURN = {SINUMERIK: 0, LINUXCNC: 1, PLAIN: 2}
-
-
-@kind("forged record", "record", {c: tuple(FORGED)[k::3] for c, k in CONTROLS_IN_TURN.items()}, unseen="the record of the run is not part of the program")  # fmt: skip
-def forged_record(ground: Ground) -> list[Place]:
-    """Change the record of the run, and seal it again."""
-    ground.forge = _manifest(FORGED[ground.variant])
-    ground.what = f"run.json: {ground.variant}, sealed again"
-    return [Place("run.json", 1, 1), Place("certificate.json", 1, 1)]
-
-
-CERTIFIED: dict[str, Callable[[dict[str, Any]], None]] = {
-    "approver": lambda paper: paper.update(
-        approver={"name": "A. Forger", "date": "2026-01-01", "signature": "A.F."}
-    ),
+CERTIFIED: dict[str, Change] = {
+    "approver": lambda paper: paper.update(approver={"name": "A. Forger", "date": "2026-01-01", "signature": "A.F."}),
     "deviations": lambda paper: paper.update(deviations=["none"]),
     "software": lambda paper: paper["software"].update(commit="0" * 40),
     "part": lambda paper: paper["part"].update(name="pressure-vessel"),
     "gates": lambda paper: paper["gates"][0].update(text="everything is fine"),
     "validated": lambda paper: paper.update(proved=["everything"]),
-}
-"""Changes of ``certificate.json`` after it was written."""
+}  # fmt: skip
+"""Changes of ``certificate.json`` after it was written; it is sealed again by the hash that anyone can work out."""
 
 
-@kind("forged certificate", "record", {c: tuple(CERTIFIED)[k::3] for c, k in CONTROLS_IN_TURN.items()}, unseen="the certificate is not part of the program")  # fmt: skip
-def forged_certificate(ground: Ground) -> list[Place]:
-    """Change the certificate, and seal it again by the hash that anyone can work out."""
-    change = CERTIFIED[ground.variant]
-
-    def sealed(paper: dict[str, Any]) -> None:
-        from ebamcheck.record import certificate
-
-        change(paper)
-        if hasattr(certificate, "seal"):
-            paper["seal"] = certificate.seal(paper)
-
-    ground.forge = _certificate(sealed)
-    ground.forge_last = True
-    ground.what = f"certificate.json: {ground.variant}, sealed again"
-    return [Place("certificate.json", 1, 1)]
+def _forged_record(ground: Ground) -> list[Place]:
+    ground.forge = _changed("run.json", FORGED[ground.variant])
+    return PAPERS
 
 
-@kind("layers of the run exchanged", "record", unseen="the record of the run is not part of the program")
-def other_witness(ground: Ground) -> list[Place]:
-    """Put the contours that made the program in the place of the witness's."""
+def _forged_certificate(ground: Ground) -> list[Place]:
+    def forge(paper: dict[str, Any]) -> None:
+        CERTIFIED[ground.variant](paper)
+        paper["seal"] = seal(paper)
+
+    ground.forge, ground.forge_last = _changed("certificate.json", forge), True
+    return PAPERS[1:]
+
+
+def _other_witness(ground: Ground) -> list[Place]:
+    """The contours that made the program in the place of the witness's."""
 
     def forge(run: Path) -> None:
-        found = json.loads((run / "run.json").read_text(encoding="utf-8"))
-        primary, witness = found["primary"], found["program"]["witness"]
+        record = json.loads((run / "run.json").read_text(encoding="utf-8"))
+        primary, witness = record["primary"], record["program"]["witness"]
         shutil.copyfile(run / "layers" / f"{primary}.parquet", run / "layers" / f"{witness}.parquet")
 
     ground.forge = forge
-    ground.what = "the witness's layers are those of the primary slicer"
-    return [Place("run.json", 1, 1), Place("certificate.json", 1, 1)]
+    return PAPERS
 
 
-@kind("run relabelled as another part", "record", unseen="text and part are those that are named")
-def relabelled(ground: Ground) -> list[Place]:
-    """Name another part in the record of the run; verified against that part's file."""
-
-    def change(record: dict[str, Any]) -> None:
-        record["part"].update(name="other", source="other.stl")
-
-    ground.forge = _manifest(change)
+def _relabelled(ground: Ground) -> list[Place]:
+    """Another part in the record of the run, which is verified against that part's file."""
+    ground.forge = _changed(
+        "run.json", lambda record: record["part"].update(name="other", source="other.stl")
+    )
     ground.other_part = "cube" if ground.subject.name != "cube" else "prism"
-    ground.what = f"the run is given out as one of the part {ground.other_part}"
-    return [Place("run.json", 1, 1), Place("certificate.json", 1, 1), Place(f"{ground.other_part}.stl", 1, 1)]
+    ground.facts["part"] = ground.other_part
+    return [*PAPERS, Place(f"{ground.other_part}.stl", 1, 1)]
+
+
+# -- the kinds -------------------------------------------------------------------------------------------
+
+# fmt: off
+kind("header says not validated", RECORD, _not_validated, in_comments=True, what="NOT VALIDATED in {v}",
+     variants={c: ("every file", "one file") if c == SINUMERIK else ("every file",) for c in CONTROLS},
+     unseen="whether a program was validated is no property of its text: one from `post` says so rightly until a run proves it, and nobody runs it",
+     unseen_variants=("every file",))
+kind("header without a status", RECORD, lambda g: _status_line(g, g.pick(list(g.text.files)), "RELEASED"), in_comments=True, what="no status")
+kind("header of another run", RECORD, _header, tuple(HEADERS), in_comments=True,
+     unseen="who verifies a text alone may give other settings than those that it was made with: the check tells it, and is no fault",
+     unseen_variants=("SETTINGS SHA-256",))
+kind("layer comment of another layer", RECORD, _layer_comment, tuple(LAYER_COMMENT), in_comments=True, what="{v} of a layer's comment")
+kind("$PATH", RECORD, _path, ("another", "missing"), controls=(SINUMERIK,), what="$PATH {v}")
+kind("name in the header", RECORD, _name, controls=(SINUMERIK,), what="the first line names another program")
+kind("forged record", RECORD, _forged_record, {c: tuple(FORGED)[k::3] for k, c in enumerate(CONTROLS)},
+     what="run.json: {v}, sealed again", unseen="the record of the run is not part of the program")
+kind("forged certificate", RECORD, _forged_certificate, {c: tuple(CERTIFIED)[k::3] for k, c in enumerate(CONTROLS)},
+     what="certificate.json: {v}, sealed again", unseen="the certificate is not part of the program")
+kind("layers of the run exchanged", RECORD, _other_witness, what="the witness's layers are those of the primary slicer",
+     unseen="the record of the run is not part of the program")
+kind("run relabelled as another part", RECORD, _relabelled, what="the run is given out as one of the part {part}",
+     unseen="text and part are those that are named")
+# fmt: on

@@ -1,16 +1,24 @@
-"""The parts into whose programs faults are planted: small, of few layers, each with something that the others lack."""
+"""The parts into whose programs faults are planted, small and each with something that the others lack, and their finished runs."""
 
 from __future__ import annotations
 
+import hashlib
+import json
 import math
-from collections.abc import Mapping
+import shutil
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+import ebamcheck
+from benchmarks.faults.program_text import ProgramText
+from ebamcheck.pipeline import run_job
 from ebamcheck.settings.config import Config
-from ebamcheck_models import Model
+from ebamcheck_models import Model, write_stl
 from ebamcheck_models.outlines import circle, polygon, rounded_rectangle
 from ebamcheck_models.prisms import prism
 from ebamcheck_models.revolved import Torus
@@ -97,6 +105,9 @@ SUBJECTS = {
     )
 }
 
+ROUND_PARTS = ("bored", "torus", "two-spheres")
+"""Parts with arcs; those after the first have splines, too."""
+
 RADIUS_MM = 29.0
 """Twelve sides in a circle of this radius lie up to 0.988 mm inside of it."""
 
@@ -131,3 +142,79 @@ PREHEATED = replace(
 
 EVERY = {**SUBJECTS, **{s.name: s for s in (TWELVE, ROUND, RETRACTING, PREHEATED)}}
 """All parts; those of :data:`SUBJECTS` serve for every kind of fault."""
+
+# -- finished runs -------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Finished:
+    """A run that is done, and what it was made from."""
+
+    subject: Subject
+    control: str
+    config: Config
+    run: Path
+    part: Path
+
+    def text(self) -> ProgramText:
+        """The program, to be spoiled."""
+        return ProgramText.read(self.run / "program", self.control)
+
+
+class Workshop:
+    """A folder of parts and finished runs, which serve until code or settings change."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        folder.mkdir(parents=True, exist_ok=True)
+        self.sound: dict[tuple[str, str, str], frozenset[str]] = {}
+        """Names of the checks that fail for a sound program, by way of verification, part and control."""
+
+    def part(self, subject: Subject) -> Path:
+        """File of a part."""
+        path = self.folder / f"{subject.name}.stl"
+        if not path.is_file():
+            write_stl(subject.model.tessellate(TESSELLATION_MM), path)
+        return path
+
+    def finished(self, subject: Subject, control: str, **changes: dict[str, Any]) -> Finished:
+        """Return the run of a part for a control, made now if there is none."""
+        config = subject.config(control, **changes)
+        digest = _digest([config.model_dump(mode="json"), code_digest()])
+        run = self.folder / f"{subject.name}-{control}-{digest}"
+        part = self.part(subject)
+        if not (run / "run.json").is_file():
+            run_job(part, run, config)
+        return Finished(subject, control, config, run, part)
+
+    def forget_outdated(self) -> None:
+        """Remove the runs of other code than that which is here now."""
+        mark = self.folder / "code"
+        if mark.is_file() and mark.read_text() != code_digest():
+            for run in self.folder.glob("*/run.json"):
+                shutil.rmtree(run.parent)
+        mark.write_text(code_digest())
+
+
+def _digest(value: Any) -> str:
+    return hashlib.sha256(json.dumps(value, sort_keys=True, default=str).encode()).hexdigest()[:10]
+
+
+@cache
+def code_digest() -> str:
+    """Hash of the product's sources: runs and verdicts are of this code."""
+    root = Path(ebamcheck.__file__).parent
+    return _digest_of([*sorted(root.rglob("*.py")), *sorted((root.parent / "backends").rglob("*.py"))])
+
+
+@cache
+def plant_digest() -> str:
+    """Hash of the sources of this package: what is planted is by this code."""
+    return _digest_of(sorted(Path(__file__).parent.glob("*.py")))
+
+
+def _digest_of(sources: Iterable[Path]) -> str:
+    digest = hashlib.sha256()
+    for source in sources:
+        digest.update(source.read_bytes())
+    return digest.hexdigest()[:10]

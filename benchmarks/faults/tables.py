@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import fields
 
-from benchmarks.faults.results import Result
+from benchmarks.faults.planting import Result
 from benchmarks.faults.subjects import CONTROLS
 
 COLUMNS = tuple(f.name for f in fields(Result) if f.name not in ("notes", "run_checks", "text_checks"))
@@ -91,9 +91,9 @@ def _figures(some: Sequence[Result]) -> str:
     return " | ".join(
         (
             _share(some, lambda r: r.run_found),
-            _share(found, lambda r: r.run_right),
+            _share(found, lambda r: bool(r.run_by)),
             _share(seen, lambda r: r.text_found),
-            _share(text_found, lambda r: r.text_right),
+            _share(text_found, lambda r: bool(r.text_by)),
         )
     )
 
@@ -114,9 +114,7 @@ def _by_kind(results: Sequence[Result], kinds: Sequence[str]) -> list[str]:
             run, text = sum(r.run_found for r in mine), sum(r.text_found for r in seen)
             cells.append(f"{run}/{len(mine)}, {f'{text}/{len(seen)}' if seen else '-'}" if mine else "")
         found, seen = [r for r in some if r.run_found], [r for r in some if r.text_found and not r.unseen]
-        right = (
-            f"{sum(r.run_right for r in found)}/{len(found)}, {sum(r.text_right for r in seen)}/{len(seen)}"
-        )
+        right = f"{sum(bool(r.run_by) for r in found)}/{len(found)}, {sum(bool(r.text_by) for r in seen)}/{len(seen)}"
         by = Counter(name for r in some for name in (*r.run_by, *r.text_by)).most_common(NAMED)
         finders = ", ".join(name for name, _ in by)
         lines.append(f"| {kind} | {some[0].changes} | {' | '.join(cells)} | {right} | {finders} |")
