@@ -65,12 +65,10 @@ ALLOWANCE = {"process": {"machining_allowance_mm": 3.0}}
 
 REMEDIES = {
     "bracket": Remedy(
-        ALLOWANCE,
-        "the brace between its legs is 0.8 mm thick, and no bead is narrower than 3.2 mm",
+        ALLOWANCE, "the brace between its legs is 0.8 mm thick, and no bead is narrower than 3.2 mm"
     ),
     "thin-walls": Remedy(
-        ALLOWANCE,
-        "its rungs are walls of 0.01 to 1 mm, and no bead is narrower than 3.2 mm",
+        ALLOWANCE, "its rungs are walls of 0.01 to 1 mm, and no bead is narrower than 3.2 mm"
     ),
     "impeller": Remedy(ALLOWANCE, "the tips of its blades are thinner than 3.2 mm, and no bead is narrower"),
     "two-spheres": Remedy(

@@ -199,10 +199,7 @@ def _noise() -> Iterator[CurvePart]:
 
 def _case(name: str, kind: str, solid: Solid, seed: int, kept: str) -> CurvePart:
     return CurvePart(
-        name,
-        kind,
-        lambda: part_of(as_file(turned(solid(CAD_MM), seed), kept), name),
-        _cut(solid, seed),
+        name, kind, lambda: part_of(as_file(turned(solid(CAD_MM), seed), kept), name), _cut(solid, seed)
     )
 
 

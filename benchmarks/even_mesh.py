@@ -234,13 +234,7 @@ def _by_side(rows: NDArray[np.int64], side: Floats) -> list[NDArray[np.int64]]:
 
 
 def _points(
-    wall: RingWall,
-    grid: Grid,
-    rows: NDArray[np.int64],
-    side: float,
-    z: Floats,
-    lip: Floats,
-    first: int,
+    wall: RingWall, grid: Grid, rows: NDArray[np.int64], side: float, z: Floats, lip: Floats, first: int
 ) -> Floats:
     """Points (rows x columns, 3) of consecutive rows, of which the first is the `first` of all."""
     u = (

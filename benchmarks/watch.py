@@ -43,10 +43,7 @@ class Watched:
 
 
 def watch(
-    command: Sequence[str],
-    limit_s: float,
-    memory_mb: float = float("inf"),
-    clock: Path | None = None,
+    command: Sequence[str], limit_s: float, memory_mb: float = float("inf"), clock: Path | None = None
 ) -> Watched:
     """Run a command from the repository's root and wait for its end, or end it at a limit.
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from fractions import Fraction
-
 import numpy as np
 import shapely
 
@@ -65,26 +63,6 @@ def exact_section(part: Part, z: float) -> shapely.Geometry:
     cells = shapely.get_parts(shapely.polygonize([lines]))
     inside = [c for c in cells if winding(cut, *shapely.get_coordinates(c.representative_point())[0]) > 0]
     return shapely.union_all(inside)
-
-
-def rational_area(part: Part, z: float) -> float:
-    """Signed area of a section in rational arithmetic, rounded once; the area where winding is 0 or 1."""
-    h = Fraction(z)
-    total = Fraction(0)
-    for triangle in part.triangles:
-        corners = [[Fraction(float(c)) for c in corner] for corner in triangle]
-        below = [c[2] <= h for c in corners]
-        if all(below) or not any(below):
-            continue
-        ends = {}
-        for k in range(3):
-            a, b = corners[k], corners[(k + 1) % 3]
-            if below[k] != below[(k + 1) % 3]:
-                t = (h - a[2]) / (b[2] - a[2])
-                ends[below[k]] = (a[0] + t * (b[0] - a[0]), a[1] + t * (b[1] - a[1]))
-        (x0, y0), (x1, y1) = ends[False], ends[True]
-        total += x0 * y1 - x1 * y0
-    return float(total / 2)
 
 
 def depth_beyond(found: shapely.Geometry, true: shapely.Geometry, bound_mm: float) -> float:

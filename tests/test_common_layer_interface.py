@@ -57,12 +57,6 @@ def test_text_gives_every_bit_back(tmp_path_factory, seed):
     assert again.labels_json() == layers.labels_json()
 
 
-def test_no_layers_and_empty_layers(tmp_path):
-    for layers in (from_rings([], []), from_rings([1.0, 2.0], [[], []])):
-        write_cli(layers, tmp_path / "e.cli")
-        assert_equal(read_cli(tmp_path / "e.cli"), layers)
-
-
 def test_what_the_text_form_looks_like(tmp_path):
     layers = from_rings([0.5], [[SQUARE, HOLE]], [[[(9, 9), (10, 9.25)]]])
     write_cli(layers, tmp_path / "s.cli")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
 import threading
 
 import numpy as np
@@ -11,7 +10,7 @@ import shapely
 from comparison_stacks import COLUMNS, SQUARE, box, shifted, stack
 
 from ebamcheck.comparison import compare, layer_classes
-from ebamcheck.comparison.pairwise import Pair, measure_block, thin_counts
+from ebamcheck.comparison.pairwise import thin_counts
 from ebamcheck.comparison.sources import blocks_of
 from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.layers.stack import from_polygons, from_rings
@@ -74,21 +73,6 @@ def test_no_layers_give_an_empty_table():
     rows = compare(empty, empty)
     assert list(rows.columns) == COLUMNS
     assert len(rows) == 0
-
-
-def test_blocks_and_threads_do_not_change_a_figure(monkeypatch):
-    rng = np.random.default_rng(2)
-    rings = [SQUARE + rng.normal(size=(4, 2)) for _ in range(150)]
-    heights = np.arange(150.0)
-    a = from_rings(heights, [[r] for r in rings])
-    b = from_rings(heights, [[r + rng.normal(size=(4, 2)) * 0.1] for r in rings])
-    tables = []
-    for threads in ("1", "3"):
-        monkeypatch.setenv("EBAMCHECK_THREADS", threads)
-        tables.append(compare(a, b))
-    assert tables[0].equals(tables[1])
-    arguments = ([a.block(3, 9), b.block(3, 9)], [Pair(0, 1, 0.001, False, False)], (5.0, 5.0), 0, 6)
-    assert np.array_equal(measure_block(*pickle.loads(pickle.dumps(arguments))), measure_block(*arguments))
 
 
 # -- topology ------------------------------------------------------------------------------------------
@@ -159,27 +143,7 @@ def test_ranges_of_counts_with_thin_features():
     assert list(holes) == [1, 2]
 
 
-def test_abutting_rings_are_one_region():
-    halves = from_rings([0.0], [[SQUARE * [0.5, 1.0], shifted(SQUARE * [0.5, 1.0], 5.0)]])
-    assert compare(halves, from_rings([0.0], [[SQUARE]]))["agrees"].all()
-
-
 # -- classes -------------------------------------------------------------------------------------------
-
-
-def test_layer_classes():
-    roof = from_arrays(
-        [(0, 0, 0), (10, 0, 0), (0, 10, 0), (3, 3, 5), (50, 50, 2)],
-        [(0, 2, 1), (0, 1, 3), (1, 2, 3), (2, 0, 3)],
-    )
-    heights = [0.0, 1e-4, 2.0, 4.9999, 5.0, 6.0]
-    assert layer_classes(roof, heights, 0.0).tolist() == [
-        "face-on-plane", "generic", "generic", "generic", "vertex-on-plane", "generic",
-    ]  # fmt: skip
-    assert layer_classes(roof, heights, 1e-3).tolist() == [
-        "face-on-plane", "face-on-plane", "generic", "vertex-on-plane", "vertex-on-plane", "generic",
-    ]  # fmt: skip
-    assert layer_classes(from_arrays(np.zeros((0, 3)), np.zeros((0, 3))), [1.0], 1.0).tolist() == ["generic"]
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -213,15 +213,6 @@ def test_the_markdown_table_marks_faults_and_what_does_not_apply():
     assert rows == ["| orientation | pass | FAIL (6 of 6) |", "| bound not idle | - | - |"]
 
 
-@pytest.mark.slow
-def test_the_kit_needs_pytest_only_for_its_class():
-    code = (
-        "import sys; import ebamcheck.testing as t; t.conform; t.CHECKS; assert 'pytest' not in sys.modules; "
-        "t.SlicerSuite; assert 'pytest' in sys.modules"
-    )
-    subprocess.run([sys.executable, "-c", code], check=True)
-
-
 # -- a plugin from outside -----------------------------------------------------------------------------
 
 

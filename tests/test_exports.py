@@ -116,14 +116,6 @@ def test_dxf_is_what_ezdxf_reads(stack: str, layers: Layers, tmp_path: Path) -> 
         assert [line.dxf.color for line in lines] == [5, 6]
 
 
-def test_dxf_is_pairs_of_codes_and_values(layers: Layers, tmp_path: Path) -> None:
-    text = ebamcheck.save(layers, tmp_path / "a.dxf").read_text(encoding="ascii").splitlines()
-    pairs = list(zip(text[::2], text[1::2], strict=True))
-    assert all(code.strip().isdigit() for code, _ in pairs)
-    assert pairs[-1] == ("0", "EOF")
-    assert sum(pair == ("0", "VERTEX") for pair in pairs) == len(layers.points)
-
-
 @pytest.mark.parametrize("with_mesh", [True, False])
 def test_3mf_slices_are_what_lib3mf_reads(layers: Layers, tmp_path: Path, with_mesh: bool) -> None:
     import lib3mf

@@ -115,11 +115,3 @@ def test_a_run_takes_it_tells_it_and_is_verified(tmp_path):
     assert ebamcheck("post", "r", "-o", "away", cwd=tmp_path).returncode == 0
     alone = ebamcheck("verify", "away", "--part", "box.stl", "--json", cwd=tmp_path)
     assert [check["name"] for check in json.loads(alone.stdout) if not check["passed"]] == []
-
-
-def test_a_run_that_may_not_is_shut(tmp_path):
-    write_stl(box((0, 0, 0), (24, 24, 7)), tmp_path / "box.stl")
-    (tmp_path / "ebamcheck.toml").write_text("layers.fit_height = false\n")
-    done = ebamcheck("run", "box.stl", "--backends", FAST, "-o", "r", cwd=tmp_path)
-    assert done.returncode == 1
-    assert "layers of 1.75 mm (layers.layer_height_mm) leave 0.00 %" in done.stdout

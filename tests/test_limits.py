@@ -84,7 +84,7 @@ NO_LIMITS = {
 """Constants of rooms of checks that need no two cases, by the reason."""
 
 NOT_JUDGED_HERE = {
-    "comparison.tolerance_mm", "comparison.evidence_share", "comparison.doubt_mm",  # of slicers: test_comparison.py, test_doubt.py
+    "comparison.tolerance_mm", "comparison.evidence_share", "comparison.doubt_mm",  # of slicers: test_comparison.py
     "curves.largest_lift_mm", "curves.largest_bulge_mm",  # of curves: test_curve_evidence.py
     "process.melting_efficiency", "process.dilution",  # data of the process: test_interpass.py
 }  # fmt: skip

@@ -7,7 +7,7 @@ import pytest
 import shapely
 from corpus_sections import simple_sections
 from parts import box, join, moved, sphere, tilted, torus, turn_z, welded
-from section_oracle import depth_beyond, exact_section, prism, rational_area
+from section_oracle import prism
 
 import ebamcheck
 from ebamcheck.errors import BackendFailed
@@ -27,11 +27,6 @@ def cut(part, heights, progress=None):
         return prepared.slice(np.atleast_1d(np.asarray(heights, float)), progress)
 
 
-def heights_in(part, count=7):
-    low, high = part.bounds[:, 2]
-    return low + (high - low) * (np.arange(count) + 0.37) / count
-
-
 PLATE = shapely.box(0, 0, 30, 20).difference(shapely.Point(12, 9).buffer(5))
 
 PARTS = {
@@ -42,25 +37,6 @@ PARTS = {
     "prism with hole": prism(PLATE, 0.0, 4.0),
     "tilted prism": tilted(prism(PLATE, 0.0, 4.0)),
 }
-
-
-@pytest.mark.parametrize("name", PARTS)
-def test_area_is_that_of_rational_arithmetic(name):
-    part = PARTS[name]
-    layers = cut(part, heights_in(part))
-    bound = SLICER.error_bound_mm(part, SETTINGS)
-    for k, z in enumerate(layers.heights):
-        assert abs(layers.areas()[k] - rational_area(part, z)) <= bound * layers.perimeters()[k]
-
-
-@pytest.mark.parametrize("name", PARTS)
-def test_region_keeps_the_bound(name):
-    part = PARTS[name]
-    layers = cut(part, heights_in(part, 3))
-    for k, z in enumerate(layers.heights):
-        found = shapely.union_all(layers.polygons(k))
-        assert found.symmetric_difference(exact_section(part, z)).buffer(-1e-7).is_empty
-        assert depth_beyond(found, exact_section(part, z), 1e-6) == 0.0
 
 
 def test_bottom_is_cut_and_top_is_not_to_the_last_bit():
@@ -77,34 +53,6 @@ def test_half_open_rule_far_from_the_origin(shift):
     heights = np.unique(np.concatenate([z, np.nextafter(z, -np.inf), np.nextafter(z, np.inf)]))
     expected = [4.0 * (z[0] <= h < z[2]) + 1.0 * (z[1] <= h < z[3]) for h in heights]
     assert cut(part, heights).areas() == pytest.approx(expected, abs=1e-8)
-
-
-def test_vertex_in_the_plane():
-    part = sphere(10.0)
-    ring_z = np.unique(part.vertices[:, 2])
-    layers = cut(part, ring_z)
-    expected = [rational_area(part, z) for z in ring_z]
-    assert layers.areas() == pytest.approx(expected, rel=1e-9)
-    assert layers.ring_counts().tolist() == [0] + [1] * (len(ring_z) - 2) + [0]  # the poles are points
-    touching = join(box((0, 0, 0), (1, 1, 1)), box((0, 0, 1), (2, 1, 3)))
-    assert cut(touching, [0.5, 1.0, 2.0]).areas().tolist() == [1.0, 2.0, 2.0]
-
-
-@pytest.mark.parametrize("shift", [0.0, 1e6])
-def test_scale_and_place_keep_the_digits(shift):
-    for scale in (1e-3, 1.0, 1e3):
-        part = moved(tilted(box((0, 0, 0), (3, 2, 1))), matrix=np.eye(3) * scale, shift=(shift,) * 3)
-        heights = heights_in(part, 3)
-        expected = [rational_area(part, z) for z in heights]
-        assert cut(part, heights).areas() == pytest.approx(expected, rel=1e-6 if shift else 1e-9)
-
-
-def test_overlapping_shells_unite_and_nested_ones_stay_solid():
-    two = join(box(), moved(box(), shift=(1, 1, 0.5)))
-    assert cut(two, [0.2, 1.0, 2.2]).areas() == pytest.approx([4.0, 7.0, 4.0], rel=1e-9)
-    nested = join(box((0, 0, 0), (9, 9, 9)), box((2, 2, 2), (4, 4, 4)))
-    assert cut(nested, [3.0]).areas() == pytest.approx([81.0])
-    assert cut(nested, [3.0]).ring_counts().tolist() == [1]
 
 
 BLOCK = box((0, 0, 0), (40, 30, 20))
@@ -222,18 +170,6 @@ def test_released_part_is_not_sliced():
         pass
     with pytest.raises(BackendFailed, match="prepare it again"):
         prepared.slice(np.array([1.0]))
-
-
-def test_a_layer_does_not_depend_on_the_others():
-    part = tilted(torus())
-    heights = heights_in(part, 12)
-    whole = cut(part, heights)
-    pieces = concatenate([cut(part, heights[:5]), cut(part, heights[5:6]), cut(part, heights[6:])])
-    for column in ("heights", "points", "ring_starts", "layer_starts", "dropped"):
-        assert np.array_equal(getattr(whole, column), getattr(pieces, column))
-    done = []
-    cut(part, heights, done.append)
-    assert sum(done) == len(heights)
 
 
 @pytest.mark.parametrize("block", [1, 64, 90])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from fractions import Fraction
+import itertools
 from pathlib import Path
 
 import numpy as np
@@ -13,31 +13,24 @@ from numpy.testing import assert_allclose
 from parts import box, join, moved, sphere, tilted, torus, turn_z, welded
 
 import ebamcheck
+from ebamcheck.layers.stack import concatenate, from_rings
 from ebamcheck.mesh.part import Part, from_arrays
+from ebamcheck_planecut import PlaneCut
+from ebamcheck_planecut.cut import LONE_LAYERS
+from ebamcheck_planecut.overlaps import (
+    CLEAN,
+    NESTED_WRONG,
+    TOUCHING,
+    classify_layer,
+    overlap_search,
+)
 
 
 def cut(part: Part, heights, **settings):
     return ebamcheck.slice(part, heights, backend="planecut", **settings)
 
 
-def exact_signed_area(part: Part, height: float) -> Fraction:
-    """Area of the section at h + 0 in rational arithmetic: the sum over facets, no tracing at all."""
-    h = Fraction(height)
-    vertices = [[Fraction(c) for c in v] for v in part.vertices.tolist()]
-    double = Fraction(0)
-    for face in part.faces.tolist():
-        ends = {}
-        for tail, head in zip(face, face[1:] + face[:1], strict=True):
-            p, q = vertices[tail], vertices[head]
-            if (p[2] > h) != (q[2] > h):
-                t = (h - p[2]) / (q[2] - p[2])
-                ends[q[2] > h] = (p[0] + t * (q[0] - p[0]), p[1] + t * (q[1] - p[1]))
-        if ends:
-            (x0, y0), (x1, y1) = ends[False], ends[True]
-            double += x0 * y1 - x1 * y0
-    return double / 2
-
-
+LIDLESS = Part(box().vertices, np.delete(box().faces, [4, 5], axis=0))
 PARTS = {
     "box": box(),
     "sphere": sphere(),
@@ -47,17 +40,6 @@ PARTS = {
     "two boxes": join(box(), box((5, 5, 1), (6, 6, 3))),
     "box with a cavity": join(box((0, 0, 0), (4, 4, 4)), box((1, 1, 1), (3, 3, 3)).reversed()),
 }
-
-
-@pytest.mark.parametrize("name", PARTS)
-def test_areas_are_those_of_rational_arithmetic_at_every_kind_of_plane(name):
-    part = PARTS[name]
-    low, high = part.bounds[:, 2]
-    through_vertices = np.unique(part.vertices[:, 2])[:40]
-    heights = np.unique(np.concatenate([np.linspace(low - 0.1, high + 0.1, 23), through_vertices]))
-    areas = cut(part, heights).areas()
-    exact = [float(exact_signed_area(part, h)) for h in heights]
-    assert_allclose(areas, exact, rtol=1e-12, atol=1e-12)
 
 
 @pytest.mark.parametrize("name", PARTS)
@@ -73,56 +55,6 @@ def test_every_point_lies_where_its_edge_says(name):
 
 
 @pytest.mark.parametrize("name", PARTS)
-def test_volume_is_the_integral_of_areas(name):
-    part = PARTS[name]
-    step = part.size[2] / 4000
-    heights = part.bounds[0, 2] + (np.arange(4000) + 0.5) * step
-    assert cut(part, heights).areas().sum() * step == pytest.approx(part.volume, rel=1e-3)
-
-
-def same_rings(a, b, atol=1e-9):
-    assert a.ring_counts().tolist() == b.ring_counts().tolist()
-    assert_allclose(a.areas(), b.areas(), rtol=1e-11, atol=atol)
-    for k in range(len(a)):
-        difference = shapely.symmetric_difference(
-            shapely.union_all(a.polygons(k)), shapely.union_all(b.polygons(k))
-        )
-        assert difference.area <= atol * max(a.perimeters()[k], 1)
-
-
-MAPS = {
-    "translation": (np.eye(3), (3.25, -7.5, 11.0)),
-    "large offset": (np.eye(3), (2.0**20, -(2.0**21), 2.0**18)),
-    "rotation": (turn_z(37.0), (0, 0, 0)),
-    "mirror": (np.diag([-1.0, 1, 1]), (0, 0, 0)),
-    "scale": (np.eye(3) * 2.5, (0, 0, 0)),
-}
-
-
-@pytest.mark.in_turn(3)
-@pytest.mark.parametrize("name", PARTS)
-@pytest.mark.parametrize("kind", MAPS)
-def test_maps_of_the_part_map_its_sections(name, kind):
-    matrix, shift = MAPS[kind]
-    part = PARTS[name]
-    heights = ebamcheck.layer_heights(part, part.size[2] / 9.3)
-    image = cut(moved(part, matrix, shift), heights * matrix[2, 2] + shift[2])
-    original = cut(part, heights)
-    flat = np.asarray(matrix, float)[:2, :2]
-    expected = ebamcheck.layers.stack.from_polygons(
-        heights,
-        [
-            [
-                shapely.transform(p, lambda xy: xy @ flat.T + np.asarray(shift[:2], float))
-                for p in original.polygons(k)
-            ]
-            for k in range(len(heights))
-        ],
-    )
-    same_rings(image, expected, atol=1e-8 if kind != "large offset" else 1e-6)
-
-
-@pytest.mark.parametrize("name", PARTS)
 def test_bits_do_not_depend_on_facet_order_corner_order_or_threads(name, monkeypatch):
     part = PARTS[name]
     heights = ebamcheck.layer_heights(part, part.size[2] / 53)
@@ -135,16 +67,6 @@ def test_bits_do_not_depend_on_facet_order_corner_order_or_threads(name, monkeyp
         assert np.array_equal(other.points, expected.points)
         assert np.array_equal(other.ring_starts, expected.ring_starts)
         assert np.array_equal(other.layer_starts, expected.layer_starts)
-
-
-def test_a_layer_does_not_depend_on_the_others():
-    part = tilted(torus())
-    heights = ebamcheck.layer_heights(part, 0.11)
-    whole = cut(part, heights)
-    for k in (0, 17, len(heights) - 1):
-        assert np.array_equal(cut(part, heights[k]).points, whole.block(k, k + 1).points)
-    mixed = cut(part, [heights[5], heights[2], heights[5]])
-    assert mixed.areas().tolist() == whole.areas()[[5, 2, 5]].tolist()
 
 
 def test_planes_through_faces_follow_the_half_open_rule():
@@ -210,8 +132,7 @@ def test_bodies_that_touch_along_an_edge_stay_apart():
 
 def test_inside_out_is_empty_and_open_paths_are_kept():
     assert cut(box().reversed(), [1.0]).areas().tolist() == [0.0]
-    lidless = Part(box().vertices, np.delete(box().faces, [4, 5], axis=0))
-    layers = cut(lidless, [1.0, 2.0])
+    layers = cut(LIDLESS, [1.0, 2.0])
     assert layers.open_counts().tolist() == [1, 0]
     assert layers.ring_counts().tolist() == [0, 0]
     assert layers.ring(0).tolist()[0] != layers.ring(0).tolist()[-1]
@@ -260,3 +181,192 @@ def test_reference_rows_of_the_corpus(corpus: Path):
         # The reference adds up every segment; the union takes those inside of other shells away (gears: 2e-4 mm).
         kept = cut(ebamcheck.load(corpus / name), [float(row["z"]) for row in here], overlaps="keep")
         assert_allclose(kept.perimeters(), [float(row["perimeter"]) for row in here], rtol=1e-8, err_msg=name)
+
+
+# -- short cuts against the long way round ---------------------------------------------------------------------
+
+
+COLUMNS = ("heights", "points", "ring_starts", "layer_starts", "closed", "edge", "edge_t", "dropped")
+
+PAGES = Part(  # three pages of a book: an edge with three facets
+    np.array([(0, 0, 0), (0, 0, 4), (3, 0, 2), (-1, 2, 1), (-1, -2, 3)], float),
+    np.array([(0, 1, 2), (1, 0, 3), (0, 1, 4)], np.int32),
+)
+FLIPPED = Part(
+    sphere().vertices,
+    np.where(np.arange(len(sphere().faces))[:, None] % 7, sphere().faces, sphere().faces[:, ::-1]),
+)
+ODD_PARTS = {
+    "torus": tilted(torus()),
+    "box": box(),
+    "bodies that touch": join(box((0, 0, 0), (1, 1, 1)), box((1, 1, 0), (2, 2, 1))),
+    "shells that cross": join(sphere(), moved(sphere(), turn_z(10.0), (0.4, 0.1, 0.3))),
+    "pages": PAGES,
+    "open": LIDLESS,
+    "flipped": FLIPPED,
+}
+
+
+def prepared(part, **settings):
+    return PlaneCut().prepare(part, PlaneCut.Settings(**settings))
+
+
+def same(a, b):
+    for column in COLUMNS:
+        x, y = getattr(a, column), getattr(b, column)
+        assert x.dtype == y.dtype, column
+        assert x.tobytes() == y.tobytes(), column
+
+
+def planes(part):
+    """Heights between vertices, through them, and outside."""
+    z = np.unique(part.vertices[:, 2])
+    return np.unique(
+        np.concatenate([z, (z[1:] + z[:-1]) / 2, [z[0] - 1, z[-1] + 1], np.linspace(z[0], z[-1], 97)])
+    )
+
+
+@pytest.mark.in_turn(2)
+@pytest.mark.parametrize("name", ODD_PARTS)
+@pytest.mark.parametrize("threads", ["1", "3"])
+def test_blocks_that_leave_gaps_are_joined_without_them(name, threads, monkeypatch):
+    monkeypatch.setenv("EBAMCHECK_THREADS", threads)
+    part = ODD_PARTS[name]
+    heights = planes(part)
+    ready = prepared(part)
+    one_by_one = concatenate([ready.slice(heights[k : k + 1]) for k in range(heights.size)])
+    same(ready.slice(heights), one_by_one)
+
+
+@pytest.mark.parametrize("faces", [[], [(0, 1, 1), (2, 2, 2)]])
+def test_a_part_without_a_facet_that_has_area_gives_empty_layers(faces):
+    part = Part(box().vertices, np.array(faces, np.int32).reshape(-1, 3))
+    ready = prepared(part)
+    for one in (ready, ready.turned(part.along((0, 1, 1)))):
+        layers = one.slice(np.linspace(-1, 3, 60))
+        assert (len(layers), len(layers.points), layers.closed.size) == (60, 0, 0)
+
+
+@pytest.mark.in_turn(2)
+@pytest.mark.parametrize("name", ODD_PARTS)
+def test_a_part_that_is_turned_again_is_cut_as_if_it_were_new(name):
+    part = ODD_PARTS[name]
+    first = prepared(part)
+    for direction in ((1, 2, 3), (0, 0, -1), (1, 0, 0)):
+        turned = part.along(direction)
+        again, anew = first.turned(turned), prepared(turned)
+        heights = planes(turned)[::3]
+        same(again.slice(heights), anew.slice(heights))
+        back = again.turned(part)
+        same(back.slice(planes(part)[::5]), first.slice(planes(part)[::5]))
+
+
+def soup(seed, facets=120, points=40):
+    """Facets between points of a coarse lattice: open, flipped, doubled, in each other, many on one edge, some flat."""
+    draw = np.random.default_rng(seed)
+    return Part(
+        draw.integers(-3, 4, (points, 3)).astype(float),
+        draw.integers(0, points, (facets, 3)).astype(np.int32),
+    )
+
+
+LONE_PARTS = {
+    **ODD_PARTS,
+    "boxes on each other": join(box(), box((0, 0, 2), (2, 2, 3)), box((1, 1, -1), (3, 3, 2))),
+    **{f"soup {seed}": soup(seed) for seed in range(4)},
+}
+DIRECTIONS = [(0, 0, -1), (1, 0, 0), (1, 1, 0), *np.random.default_rng(8).normal(size=(4, 3)).tolist()]
+
+
+@pytest.mark.in_turn(5)
+@pytest.mark.parametrize("name", LONE_PARTS)
+@pytest.mark.parametrize("overlaps", ["unite", "keep"])
+def test_a_few_layers_along_a_new_direction_are_those_of_the_whole_sorted_mesh(name, overlaps):
+    part = LONE_PARTS[name]
+    first = prepared(part, overlaps=overlaps)
+    for direction in DIRECTIONS:
+        turned = part.along(direction)
+        heights = planes(turned)
+        heights = heights[np.unique(np.linspace(0, heights.size - 1, 2 * LONE_LAYERS).astype(int))]
+        whole = prepared(turned, overlaps=overlaps).slice(heights)
+        again = first.turned(turned)
+        for k in range(heights.size):
+            # A new one each time, and one that has its mesh sorted on the way.
+            same(first.turned(turned).slice(heights[k : k + 1]), whole.block(k, k + 1))
+            same(again.slice(heights[k : k + 1]), whole.block(k, k + 1))
+        same(first.turned(turned).slice(heights[:LONE_LAYERS]), whole.block(0, LONE_LAYERS))
+
+
+# -- the tree of boxes ---------------------------------------------------------------------------------
+
+
+def crossing(p, q, r, s) -> bool:
+    """Whether segments pq and rs share a point; exact for small whole numbers."""
+
+    def side(a, b, c):
+        return (b[0] - a[0]) * (c[1] - a[1]) - (c[0] - a[0]) * (b[1] - a[1])
+
+    if max(p[0], q[0]) < min(r[0], s[0]) or max(r[0], s[0]) < min(p[0], q[0]):
+        return False
+    if max(p[1], q[1]) < min(r[1], s[1]) or max(r[1], s[1]) < min(p[1], q[1]):
+        return False
+    return side(p, q, r) * side(p, q, s) <= 0 and side(r, s, p) * side(r, s, q) <= 0
+
+
+def meets_anywhere(rings) -> bool:
+    """Every segment with every other one that does not follow it."""
+    segments = [
+        (r, i, ring[i], ring[(i + 1) % len(ring)]) for r, ring in enumerate(rings) for i in range(len(ring))
+    ]
+    for (r, i, p, q), (s, k, t, u) in itertools.combinations(segments, 2):
+        follow = r == s and (k == (i + 1) % len(rings[r]) or i == (k + 1) % len(rings[r]))
+        if not follow and crossing(p, q, t, u):
+            return True
+    return False
+
+
+def touches(layers) -> bool:
+    search = overlap_search(len(layers.points), 0.0)
+    rings = layers.closed.size
+    return classify_layer(layers.points, layers.ring_starts, layers.closed, 0, rings, search) == TOUCHING
+
+
+def star(rng, points, centre, scale):
+    """A ring that goes around its centre once, on whole numbers."""
+    angle = np.sort(rng.random(points)) * 2 * np.pi
+    radius = rng.uniform(0.3, 1.0, points) * scale
+    return np.rint(np.stack([radius * np.cos(angle), radius * np.sin(angle)], 1) + centre)
+
+
+def test_the_tree_finds_what_all_pairs_find():
+    rng = np.random.default_rng(7)
+    found = []
+    for _ in range(300):
+        rings = [
+            star(rng, rng.integers(3, 60), rng.integers(-60, 60, 2), rng.choice([10, 40, 80, 500]))
+            for _ in range(rng.integers(1, 4))
+        ]
+        layers = from_rings([0.0], [rings])
+        expected = meets_anywhere([layers.ring(r).tolist() for r in range(layers.closed.size)])
+        assert touches(layers) == expected
+        found.append(expected)
+    assert 60 < sum(found) < 240  # both kinds are there
+
+
+def test_kinds_of_layers():
+    square = np.array([(0, 0), (4, 0), (4, 4), (0, 4)], float)
+    stack = [
+        [square],
+        [square[::-1]],
+        [square, square + 2.0],
+        [square, square * 0.25 + 1],
+        [square, square[::-1] * 0.25 + 1],
+        [],
+    ]
+    layers = from_rings(np.arange(len(stack)), stack)
+    search = overlap_search(len(layers.points), 0.0)
+    kinds = [
+        classify_layer(layers.points, layers.ring_starts, layers.closed, a, b, search)
+        for a, b in itertools.pairwise(layers.layer_starts.tolist())
+    ]
+    assert kinds == [CLEAN, NESTED_WRONG, TOUCHING, NESTED_WRONG, CLEAN, CLEAN]

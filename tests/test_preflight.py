@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 
 import numpy as np
 import pytest
 import shapely
-from command_line import FAST, WIDE, WIDE_TOML, ebamcheck, frame, started, write_stl
+from command_line import FAST, WIDE, WIDE_TOML, ebamcheck, frame, write_stl
 from parts import BOX_FACES, box, moved, sphere
 
 from ebamcheck.commands.run import preflight_command, preflight_text
 from ebamcheck.errors import InputError, SettingsError
-from ebamcheck.layers.heights import crossing_counts, heights_within, layer_heights
+from ebamcheck.layers.heights import crossing_counts, layer_heights
 from ebamcheck.mesh.files import load
 from ebamcheck.mesh.part import from_arrays
 from ebamcheck.pipeline import check_job, run_job
@@ -186,12 +184,6 @@ def test_a_file_in_inches_is_told_what_it_would_be(tmp_path):
     assert [c for c in inches.preflight.checks if c.level == "warning"] == []
 
 
-def test_a_file_in_metres_is_told_what_it_would_be(tmp_path):
-    part = stl(tmp_path, box((0, 0, 0), (0.05, 0.04, 0.02)))
-    remedies = [c.remedy for c in ready(part, Config()).preflight.checks if c.name == "units"]
-    assert any("in metres it would be 50 x 40 x 20 mm" in remedy for remedy in remedies)
-
-
 # -- keep-outs ---------------------------------------------------------------------------------------
 
 
@@ -240,14 +232,6 @@ def test_keep_outs_are_found_as_by_sections(name):
     assert 5 < entered < 55
 
 
-def test_a_zone_within_the_metal_is_entered():
-    part = box((0, 0, 0), (40, 40, 40))
-    where = zone(10, 10, 20, 20, (15.0, 25.0))
-    assert enters(part, where, shapely.Polygon(where.outline_mm))
-    above = zone(10, 10, 20, 20, (41.0, 50.0))
-    assert not enters(part, above, shapely.Polygon(above.outline_mm))
-
-
 def test_a_clamp_in_the_way_stops_a_run_and_not_a_check(block, tmp_path):
     clamp = {
         "name": "left clamp",
@@ -280,19 +264,6 @@ def test_the_mean_section_is_that_of_a_prism():
     assert border == pytest.approx(4 * 40 + 2 * (14 + 16))
 
 
-def test_more_of_everything_is_more_work(block, tmp_path):
-    small = ready(block, Config()).preflight.work
-    thin = ready(block, Config().changed(layers={"layer_height_mm": 0.9})).preflight.work
-    large = ready(stl(tmp_path, box((0, 0, 0), (300, 180, 120)), "large.stl"), Config()).preflight.work
-    for more in (thin, large):
-        assert more.time_s > small.time_s
-        assert more.layers > small.layers
-        assert more.islands > small.islands
-        assert more.bead_mm > small.bead_mm
-    alone = Config().changed(slicing={"backends": ("planecut",)})
-    assert ready(block, alone).preflight.work.memory_mb < small.memory_mb
-
-
 @pytest.mark.parametrize("job", [run_job, check_job])
 def test_more_work_than_is_allowed_asks_first(block, tmp_path, job):
     few = Config().changed(work={"most_layers": 3}, slicing={"backends": ("planecut",)})
@@ -301,24 +272,7 @@ def test_more_work_than_is_allowed_asks_first(block, tmp_path, job):
     assert not (tmp_path / "a.run").exists()
 
 
-def test_slicing_alone_asks_too(block, tmp_path):
-    (tmp_path / "ebamcheck.toml").write_text("work.most_layers = 3\n")
-    refused = ebamcheck("slice", "block.stl", "-o", "a.parquet", cwd=tmp_path)
-    assert refused.returncode == 2
-    assert "24 layers, over 3 (work.most_layers): give --yes" in refused.stderr
-    assert not (tmp_path / "a.parquet").exists()
-    assert ebamcheck("slice", "block.stl", "-o", "a.parquet", "--yes", cwd=tmp_path).returncode == 0
-
-
 # -- heights outside of the part ---------------------------------------------------------------------
-
-
-def test_heights_are_those_of_the_part():
-    part = moved(box((0, 0, 0), (10, 10, 30)), shift=(0, 0, 5))
-    assert heights_within(part, [5.0, 35.0], "x").tolist() == [5.0, 35.0]
-    for outside in (4.999, 35.001, 100.0, -1.0):
-        with pytest.raises(SettingsError, match=rf"x: {outside:g} mm is outside .*z = 5 to 35 mm"):
-            heights_within(part, [10.0, outside], "x")
 
 
 @pytest.mark.parametrize(
@@ -389,34 +343,6 @@ def test_the_command_tells_by_its_exit_code(block, capsys):
         preflight_command(block, job="fly")
     with pytest.raises(SettingsError, match="give either"):
         preflight_command()
-
-
-def test_the_preflight_is_a_command(block, tmp_path):
-    done = started("preflight", block.name, "--place", "-990,0", cwd=tmp_path)
-    assert (done.returncode, done.stderr) == (1, "")
-    assert "beyond machine.travel_min_mm" in done.stdout
-    assert ebamcheck("preflight", "gone.stl", cwd=tmp_path).returncode == 2
-    assert ebamcheck("preflight", block.name, "--units", "furlong", cwd=tmp_path).returncode == 2
-
-
-HEAVY = ("pandas", "ebamcheck.pipeline", "ebamcheck.slicers.slicing", "ebamcheck.curves", "ebamcheck.scan")
-"""What takes most of the time of a start; the names of the controls, which the preflight asks for, take a hundredth."""
-
-
-@pytest.mark.parametrize("arguments", [["run", "--place", "5000,0"], ["preflight"]], ids=str)
-def test_nothing_heavy_is_loaded_before_the_preflight_has_spoken(block, tmp_path, arguments):
-    start = (
-        "import sys, json\nfrom ebamcheck.commands.main import main\n"
-        f"sys.argv = {['ebamcheck', arguments[0], block.name, *arguments[1:]]!r}\n"
-        "try:\n    main()\nexcept SystemExit as left:\n    pass\n"
-        f"print(json.dumps([name for name in {HEAVY!r} if name in sys.modules]))\n"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", start], cwd=tmp_path, capture_output=True, text=True, check=True
-    )
-    assert json.loads(done.stdout.splitlines()[-1]) == []
-    if arguments[0] == "run":
-        assert "preflight: travel X" in done.stderr
 
 
 def test_a_plate_and_a_part_exclude_each_other(block, tmp_path):
