@@ -12,7 +12,6 @@ from typer.testing import CliRunner
 
 import ebamcheck
 from ebamcheck.commands.main import app
-from ebamcheck.errors import BackendFailed
 from ebamcheck.layers.heights import layer_heights
 from ebamcheck.mesh.bodies import bodies_of
 from ebamcheck.mesh.inspection import inspect
@@ -162,16 +161,6 @@ def test_inspect_and_preflight_say_what_is_made_of_each_body(name, level, words,
     assert f"volume mm3           {CASES[name][1]:.9g}" in told.stdout
 
 
-def test_open_and_inside_out_parts_keep_their_signed_volume():
-    part = CASES["overlap"][0]
-    opened = dataclasses.replace(part, faces=part.faces[1:])
-    assert inspect(opened).verdict == "open"
-    assert opened.volume == opened.signed_volume
-    turned = CASES["side by side"][0].reversed()
-    assert inspect(turned).verdict == "inside-out"
-    assert turned.volume == pytest.approx(-64000)
-
-
 def test_a_thousand_cavities_are_told_apart_without_cutting(monkeypatch):
     holes = [
         ((4 + 10 * x, 4 + 10 * y, 4 + 10 * z), (2, 2, 2), IN)
@@ -302,12 +291,6 @@ def test_a_seam_that_rounding_opens_does_not_hide_what_is_solid():
     """The place within the united face at which its winding is found lies on the seam."""
     part = mapped(join(BLOCK, box((40, 0, 0), (80, 40, 20))), turn(59.0), (7.0, -3.0, 0.0))
     assert ebamcheck.slice(part, HEIGHTS, "planecut").areas() == pytest.approx([3200.0] * 3, rel=1e-11)
-
-
-@pytest.mark.parametrize("name", ["part of a face", "a whole face", "two halves of a pipe"])
-def test_trimesh_says_that_it_cannot_cut_touching_bodies(name):
-    with pytest.raises(BackendFailed, match=r"touch at z = 3\.1 mm"):
-        ebamcheck.slice(TOUCHING[name][0], HEIGHTS, "trimesh")
 
 
 @pytest.mark.parametrize(("limit_mm", "agrees", "aside"), [(0.0006, True, 1), (0.0001, False, 0)])

@@ -242,18 +242,6 @@ def test_wrong_headers_are_refused(tmp_path, text, says):
         read_cli(tmp_path / "h.cli")
 
 
-def test_every_truncation_is_refused(tmp_path):
-    layers = star_layers(2, 4)
-    assert layers.ring_counts()[-1] > 0
-    for binary in (False, True):
-        write_cli(layers, tmp_path / "w.cli", binary=binary)
-        whole = (tmp_path / "w.cli").read_bytes()
-        for size in [*range(0, len(whole) - 1, 7), len(whole) - 2]:
-            (tmp_path / "cut.cli").write_bytes(whole[:size])
-            with pytest.raises(InputError, match=r"cut\.cli"):
-                read_cli(tmp_path / "cut.cli")
-
-
 @settings(max_examples=200, deadline=None)
 @given(st.binary(max_size=200))
 def test_no_bytes_break_the_reader(tmp_path_factory, body):

@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-import os
 from itertools import combinations, product
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 import shapely
-from comparison_stacks import COLUMNS, SQUARE, box, judged, shifted, stack
+from comparison_stacks import COLUMNS, SQUARE, box, judged, stack
 from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from ebamcheck.comparison import compare, compare_all
+from ebamcheck.comparison import compare_all
 from ebamcheck.comparison.consensus import EvidenceRule, agreement, best_pair
 from ebamcheck.comparison.doubt import doubted_layers
-from ebamcheck.comparison.place_causes import MeshFlaws
 from ebamcheck.layers.stack import from_polygons, from_rings
 from ebamcheck.mesh.part import from_arrays
 from ebamcheck.pipeline.cross_check import evidence_records, evidence_rule, resting
@@ -169,39 +166,6 @@ def test_blocks_and_threads_change_no_bit(monkeypatch):
         pd.testing.assert_frame_equal(results[0].pairs, other.pairs, check_exact=True)
         pd.testing.assert_frame_equal(results[0].layers, other.layers, check_exact=True)
         assert results[0].findings == other.findings
-
-
-# -- real parts ----------------------------------------------------------------------------------------
-
-
-@pytest.mark.corpus
-@pytest.mark.parametrize("name", ["menger3_22k.stl", "gears_7bodies_ascii.stl"])
-def test_a_real_part_agrees_with_itself_and_not_with_a_shifted_self(name):
-    corpus = os.environ.get("EBAMCHECK_CORPUS")
-    if not corpus:
-        pytest.skip("EBAMCHECK_CORPUS does not name the mesh corpus")
-    trimesh = pytest.importorskip("trimesh")
-    mesh = trimesh.load(Path(corpus) / "good" / name)
-    part = from_arrays(mesh.vertices, mesh.faces)
-    low, high = part.bounds[:, 2]
-    heights = low + (high - low) * np.array([0.13, 0.31, 0.503, 0.77])
-    flaws = MeshFlaws(part)
-    regions = []
-    for height in heights:
-        lines = shapely.linestrings(flaws.section(height).reshape(-1, 2, 2).round(9))
-        regions.append(shapely.build_area(shapely.geometrycollections(lines)))
-    a = from_polygons(heights, [[r] for r in regions])
-    b = from_polygons(heights, [[shapely.transform(r, lambda p: shifted(p, 0.25))] for r in regions])
-    same = compare(a, a, exact_a=True, exact_b=True)
-    assert same["agrees"].all()
-    assert same["symmetric_difference_mm2"].max() == 0.0
-    rows = compare(a, b, exact_a=True)
-    assert not rows["agrees"].any()
-    for k, region in enumerate(regions):
-        moved = shapely.transform(region, lambda p: shifted(p, 0.25))
-        expected = shapely.symmetric_difference(region, moved).area
-        assert rows.loc[k, "symmetric_difference_mm2"] == pytest.approx(expected, rel=1e-8)
-        assert rows.loc[k, "hausdorff_mm"] <= 0.25 + 1e-6
 
 
 # -- declared doubt --------------------------------------------------------------------------------

@@ -21,10 +21,6 @@ def layer(*rings):
     return from_rings([0.0], [rings])
 
 
-def shifted(points, x_mm, y_mm=0.0):
-    return points + np.array([x_mm, y_mm])
-
-
 def figures(a: Layers, b: Layers, limit=1e-3, exact_a=False, exact_b=False, origin=(0.0, 0.0)) -> Figures:
     return Figures(*measure(outline(a, 0, origin), outline(b, 0, origin), limit, exact_a, exact_b))
 
@@ -96,16 +92,6 @@ def test_depth_from_an_exact_outline_is_the_greatest_distance_over_the_differenc
     assert place.distance(difference) <= 1e-5
     mirrored = figures(b, a, exact_b=True)
     assert mirrored.depth == pytest.approx(found.depth, abs=2e-5)
-
-
-@pytest.mark.parametrize("shift", [1e-9, 0.003, 0.5, 4.0])
-def test_shifted_squares(shift):
-    found = figures(layer(SQUARE), layer(shifted(SQUARE, shift)))
-    assert found.symmetric_difference == pytest.approx(20 * shift, rel=1e-6)
-    assert found.hausdorff_ab == found.hausdorff_ba == pytest.approx(shift)
-    assert found.depth == pytest.approx(shift / 2, abs=1e-5)
-    assert figures(layer(SQUARE), layer(shifted(SQUARE, shift)), exact_a=True).depth == pytest.approx(shift)
-    assert found.p95_ab == pytest.approx(shift, abs=1e-9)
 
 
 def test_a_lost_wedge_tip_is_far_but_not_deep():

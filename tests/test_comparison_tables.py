@@ -68,13 +68,6 @@ def test_heights_and_parts_must_be_the_same():
     assert compare(a, a.labelled(part=""))["agrees"].all()
 
 
-def test_no_layers_give_an_empty_table():
-    empty = from_rings([], [])
-    rows = compare(empty, empty)
-    assert list(rows.columns) == COLUMNS
-    assert len(rows) == 0
-
-
 # -- topology ------------------------------------------------------------------------------------------
 
 

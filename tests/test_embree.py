@@ -7,15 +7,15 @@ import logging
 import numpy as np
 import pytest
 import shapely
-from corpus_sections import simple_sections
 from parts import box, join, moved, sphere, tilted, torus, turn_z
 from scipy.spatial.transform import Rotation
-from section_oracle import depth_beyond, exact_section, prism
+from section_oracle import depth_beyond, exact_section, simple_sections
 
 import ebamcheck
 from ebamcheck.errors import SettingsError
 from ebamcheck.layers.stack import concatenate
 from ebamcheck.mesh.part import from_arrays
+from ebamcheck.testing.solids import prism
 from ebamcheck_embree import Embree, scene
 from ebamcheck_embree.grid import automatic_cell_mm, grid_over
 from ebamcheck_embree.scene import Scene
@@ -125,17 +125,6 @@ def test_vertices_and_faces_on_grid_lines():
         assert layers.areas()[0] == pytest.approx(outline.area, abs=4 * cell_mm**2)
 
 
-@pytest.mark.parametrize("axis", [0, 1, 2])
-def test_walls_in_one_place_hide_no_shell(axis):
-    """Of facets in one place Embree names one: here it would lose an exit at 5 and an entry at 10."""
-    row = join(*(box(np.roll([k * 5.0, 0, 0], axis), np.roll([k * 5.0 + 5.0, 6, 7], axis)) for k in range(3)))
-    widths = np.roll([15.0, 6.0, 7.0], axis)
-    for z in (0.3 * widths[2], 0.5 * widths[2], 0.9 * widths[2]):
-        layers = cut(row, [z], grid_mm=0.05)
-        assert layers.ring_counts().tolist() == [1]
-        assert layers.areas() == pytest.approx(widths[0] * widths[1], abs=0.05 * 2 * widths[:2].sum())
-
-
 @pytest.mark.in_turn(5)
 @pytest.mark.parametrize("seed", range(12))
 def test_shells_that_abut_and_overlap_on_a_lattice(seed, caplog):
@@ -198,11 +187,7 @@ def test_layers_do_not_depend_on_the_slabs_of_the_part(name, monkeypatch):
 
 @pytest.mark.parametrize(
     "fault",
-    [
-        lambda facets: np.full_like(facets, -1),
-        lambda facets: facets ^ 1,
-        lambda facets: facets ^ (1 << 29),
-    ],
+    [lambda facets: np.full_like(facets, -1), lambda facets: facets ^ 1, lambda facets: facets ^ (1 << 29)],
     ids=["none", "neighbour", "no facet of the part"],
 )
 def test_what_embree_misses_is_found_all_the_same(fault, monkeypatch):
@@ -297,19 +282,6 @@ def test_bound_is_kept_by_random_solids(seed, caplog):
     for k, z in enumerate(heights):
         assert depth_beyond(region(layers, k), exact_section(part, z), bound * 1.0005) < 1e-9
     assert "do not pair" not in caplog.text
-
-
-def test_corners_of_the_section_are_not_cut():
-    """In-plane contours turn where the mesh's section turns, where that is in a cell the contour passes."""
-    outline = shapely.Point(0.3, 0.4).buffer(8, quad_segs=6)
-    part = prism(outline, 0.0, 2.0)
-    cell_mm = 0.3
-    layers = cut(part, [1.0], grid_mm=cell_mm)
-    difference = region(layers).symmetric_difference(outline).area
-    assert difference < 0.01 * outline.length * cell_mm / 8  # chords of cells take an eighth of a cell
-    corners = shapely.get_coordinates(outline.exterior)[:-1]
-    gaps = np.linalg.norm(corners[:, None] - layers.points[None], axis=2).min(axis=1)
-    assert (gaps < 1e-9).mean() > 0.8
 
 
 @pytest.mark.corpus

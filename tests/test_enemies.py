@@ -170,14 +170,6 @@ def test_the_house_goes_on_and_is_not_shadowed(told, here):
         assert type(registry.slicer("planecut")).__module__ == "ebamcheck_planecut"
 
 
-def test_commands_are_listed_and_run_beside_a_broken_one(enemies):
-    shown = ebamcheck("--help", cwd=enemies, **environment(enemies))
-    assert shown.returncode == 0
-    assert "command 'crashes' was left out" in shown.stderr
-    config = ebamcheck("config", cwd=enemies, **environment(enemies))
-    assert (config.returncode, "[comparison]" in config.stdout) == (0, True)
-
-
 def test_a_plugin_that_hangs_at_import_is_ended(tmp_path, monkeypatch):
     install(
         tmp_path,
@@ -433,18 +425,6 @@ def test_a_run_among_enemies_is_whole_and_honest(writers, tmp_path):
     assert {"no-evidence", "backend-lost"} <= {f["code"] for f in manifest["findings"]}
     gate = next(g for g in manifest["gates"] if g["name"] == "agreement")
     assert "every one rests on planecut and manifold" in gate["text"]
-
-
-@pytest.mark.slow
-def test_two_methods_of_which_one_proves_nothing_are_not_enough(writers, tmp_path):
-    write_stl(frame(), tmp_path / "frame.stl")
-    (tmp_path / "ebamcheck.toml").write_text(WIDE_TOML)
-    done = ebamcheck(
-        "check", "frame.stl", "--layer-height", 6, "--backends", "planecut,loose",
-        cwd=tmp_path, **environment(writers, TESTS),
-    )  # fmt: skip
-    assert done.returncode == 5, done.stdout + done.stderr
-    assert "2 methods left, no two of which are independent evidence: loose is no evidence" in done.stdout
 
 
 def test_house_writers_write_where_strangers_may_not(tmp_path):

@@ -96,20 +96,6 @@ def test_same_layers_same_bytes(tmp_path):
     assert (tmp_path / "a.parquet").read_bytes() == (tmp_path / "b.parquet").read_bytes()
 
 
-def test_other_programs_read_the_table(tmp_path):
-    layers = random_layers(2, 6)
-    layer_files.write_parquet(layers, tmp_path / "a.parquet")
-    table = pq.read_table(tmp_path / "a.parquet")
-    row = table.to_pylist()[4]
-    rings = layers.rings_of(4)
-    assert row["height_mm"] == layers.heights[4]
-    assert [len(x) for x in row["x"]] == [len(layers.ring(r)) for r in rings]
-    assert [list(zip(x, y, strict=True)) for x, y in zip(row["x"], row["y"], strict=True)] == [
-        [tuple(p) for p in layers.ring(r).tolist()] for r in rings
-    ]
-    assert row["closed"] == layers.closed[list(rings)].tolist()
-
-
 def test_every_truncation_of_a_file_is_refused_and_named(tmp_path):
     layer_files.write_parquet(random_layers(1, 4), tmp_path / "a.parquet")
     whole = (tmp_path / "a.parquet").read_bytes()
@@ -117,16 +103,6 @@ def test_every_truncation_of_a_file_is_refused_and_named(tmp_path):
         (tmp_path / "cut").write_bytes(whole[:size])
         with pytest.raises(InputError, match="cut"):
             layer_files.read_parquet(tmp_path / "cut")
-
-
-def test_a_flipped_bit_in_the_points_is_found(tmp_path):
-    layers = random_layers(4, 30)
-    layer_files.write_parquet(layers, tmp_path / "a.parquet")
-    data = bytearray((tmp_path / "a.parquet").read_bytes())
-    data[len(data) // 3] ^= 4
-    (tmp_path / "b.parquet").write_bytes(bytes(data))
-    with pytest.raises(InputError, match=r"b\.parquet"):
-        layer_files.read_parquet(tmp_path / "b.parquet")
 
 
 def damaged(tmp_path, change):
@@ -169,13 +145,6 @@ def test_a_wrong_table_is_refused_and_the_message_says_why(tmp_path, says):
         layer_files.read_parquet(damaged(tmp_path, CASES[says]))
     assert "bad.parquet" in str(caught.value)
     assert "\n" not in str(caught.value)
-
-
-def test_missing_and_foreign_files_are_refused(tmp_path):
-    (tmp_path / "text.parquet").write_text("not a table")
-    for name in ("none.parquet", "text.parquet"):
-        with pytest.raises(InputError, match=name):
-            layer_files.read_parquet(tmp_path / name)
 
 
 def test_unknown_suffixes_and_folders_are_refused(tmp_path):

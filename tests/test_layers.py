@@ -54,11 +54,6 @@ def test_measures_of_a_square_with_a_hole_and_an_open_path():
     assert layers.polygons(1) == []
 
 
-def test_area_keeps_its_digits_far_from_the_origin():
-    far = from_rings([0.0], [[SQUARE + 2.0**30]])
-    assert far.areas().tolist() == [16.0]
-
-
 def test_nesting_finds_the_smallest_enclosing_ring():
     island = HOLE[::-1] * 0.25 + 1.0
     layers = from_rings([0.0], [[SQUARE, HOLE, island, SQUARE * 1.5 + 100]])

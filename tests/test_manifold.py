@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import shapely
-from corpus_sections import simple_sections
 from parts import box, join, moved, sphere, tilted, torus, turn_z, welded
-from section_oracle import prism
+from section_oracle import simple_sections
 
 import ebamcheck
 from ebamcheck.errors import BackendFailed
 from ebamcheck.layers.stack import concatenate
 from ebamcheck.mesh.part import from_arrays
+from ebamcheck.testing.solids import prism
 from ebamcheck_manifold import MOST_REGIONS, ManifoldCut, _boxes
 
 SLICER = ManifoldCut()

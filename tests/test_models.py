@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 import shapely
 import trimesh
-from scipy import special
 
 import ebamcheck
 from ebamcheck.errors import SettingsError
@@ -25,23 +24,23 @@ from ebamcheck_models import (
     CYLINDER,
     HELICAL_CHANNEL,
     IMPELLER,
+    LADDER,
+    LADDER_TOLERANCES_MM,
     MODELS,
     PRISM,
     PYRAMID,
     SPHERE,
     THIN_WALLS,
-    TILTED_PLATE,
     TORUS,
     TWO_SPHERES,
     Model,
-    write_stl,
+    TurnableModel,
 )
-from ebamcheck_models import impeller as impeller_shape
 from ebamcheck_models.__main__ import main
 from ebamcheck_models.narrow import WIDTHS_MM
 from ebamcheck_models.outlines import Outline, arc, circle, rounded_rectangle
 from ebamcheck_models.polyhedra import Polyhedron
-from ebamcheck_models.two_spheres import lens_area
+from ebamcheck_models.ring_wall import RingWall
 from ebamcheck_models.walls import WalledModel
 
 ALL = pytest.mark.parametrize("model", MODELS.values(), ids=MODELS)
@@ -188,40 +187,6 @@ def test_the_area_of_a_menger_sponge_is_a_product_over_the_digits_of_its_layer(l
     assert sponge.volume == pytest.approx(27.0**3 * (20 / 27) ** level)
 
 
-def test_the_impeller_has_the_area_that_bessel_functions_give():
-    k = impeller_shape.SHARPNESS
-    for z in (8.0, 30.0, 77.0):
-        hub, blade = float(impeller_shape.hub_mm(z)), float(impeller_shape.blade_mm(z))
-        means = special.ive(0, k), special.ive(0, 2 * k)
-        ring = hub**2 + 2 * hub * blade * means[0] + blade**2 * means[1]
-        wanted = math.pi * (ring - impeller_shape.BORE_RADIUS_MM**2)
-        assert IMPELLER.area(z) == pytest.approx(wanted, rel=1e-10)
-
-
-def test_the_lens_of_two_discs():
-    assert lens_area(3.0, 1.0, 1.0) == 0.0
-    assert lens_area(0.1, 1.0, 3.0) == pytest.approx(math.pi)
-    assert lens_area(1.0, 1.0, 1.0) == pytest.approx(2 * math.pi / 3 - math.sqrt(3) / 2)
-    # The centre of the smaller disc on the far side of the chord.
-    one, other = shapely.Point(0, 0).buffer(5, 4096), shapely.Point(4.5, 0).buffer(2, 4096)
-    assert lens_area(4.5, 5.0, 2.0) == pytest.approx(one.intersection(other).area, rel=1e-6)
-
-
-def test_the_two_spheres_overlap_and_their_union_is_less_than_their_meshes():
-    part = TWO_SPHERES.tessellate(0.05)
-    assert part.signed_volume == pytest.approx(TWO_SPHERES.mesh_volume, rel=1e-2)
-    assert part.volume == pytest.approx(TWO_SPHERES.volume, rel=1e-2)
-    assert TWO_SPHERES.volume < 0.95 * TWO_SPHERES.mesh_volume
-    # The area is smooth but where a sphere, or the lens, begins and ends: midpoints on a fine grid do.
-    low, high = TWO_SPHERES.bounds[:, 2]
-    z = low + (high - low) * (np.arange(4000) + 0.5) / 4000
-    integral = np.mean([TWO_SPHERES.area(h) for h in z.tolist()]) * (high - low)
-    assert integral == pytest.approx(TWO_SPHERES.volume, rel=1e-5)
-    assert sum(SPHERE.volume * (r / 30.0) ** 3 for r in TWO_SPHERES.radii_mm) == pytest.approx(
-        TWO_SPHERES.mesh_volume
-    )
-
-
 def test_every_gap_of_the_comb_and_every_thin_wall_is_there():
     (plate,), (comb,) = COMB.section(2.0), COMB.section(10.0)
     teeth = comb.intersection(shapely.box(-1, 20, 60, 21))
@@ -233,30 +198,6 @@ def test_every_gap_of_the_comb_and_every_thin_wall_is_there():
     walls = sorted(w.bounds for w in frame.intersection(shapely.box(-1, 14, 60, 15)).geoms)
     assert [w[2] - w[0] for w in walls] == pytest.approx(WIDTHS_MM, abs=4e-6)
     assert len(frame.interiors) == len(WIDTHS_MM) - 1
-
-
-def test_planecut_keeps_every_gap_and_wall():
-    for model in (COMB, THIN_WALLS, *(m for m in CASES if "prusa" in m.name)):
-        low, high = model.bounds[:, 2]
-        heights = low + (high - low) * np.array([0.1, 0.6, 0.95])
-        cut = ebamcheck.slice(model.tessellate(1.0), heights, backend="planecut")
-        assert cut.areas() == pytest.approx([model.area(z) for z in heights.tolist()], rel=1e-12)
-
-
-def test_the_bracket_has_a_brace_as_thin_as_it_says():
-    (region,) = BRACKET.section(10.0)
-    hole = max((shapely.Polygon(r) for r in region.interiors), key=lambda p: p.area)
-    assert hole.distance(region.exterior) == pytest.approx(0.8, abs=1e-3)
-    assert region.buffer(-0.41).geom_type == "Polygon"
-    assert len(region.buffer(-0.41).interiors) < len(region.interiors)
-
-
-def test_the_tilted_plate_is_a_millimetre_thick():
-    normal = np.array([0.35, -0.2, 0.5]) / np.linalg.norm([0.35, -0.2, 0.5])
-    (region,) = TILTED_PLATE.section(0.0)
-    width = region.minimum_rotated_rectangle
-    sides = np.linalg.norm(np.diff(shapely.get_coordinates(width)[:3], axis=0), axis=1)
-    assert sides.min() == pytest.approx(1.0 / math.hypot(normal[0], normal[1]), rel=1e-4)
 
 
 # -- named cases -----------------------------------------------------------------------------------
@@ -279,20 +220,6 @@ def test_a_named_case_cites_its_report_and_is_cut_right_at_every_layer(model):
     assert (cut.areas()[1:] > 0).all()
 
 
-def test_the_cube_that_cura_lost_a_layer_of():
-    cube = MODELS["case-cura-1473"]
-    part = cube.tessellate(1.0)
-    for heights in (layer_heights(part, 0.2), [14.0, 14.2, 14.4]):
-        assert ebamcheck.slice(part, heights, backend="planecut").areas() == pytest.approx(10_000.0)
-
-
-def test_touching_cubes_are_two_rings_and_two_regions():
-    touching = MODELS["case-touching-edge"]
-    assert len(touching.section(5.0)) == 2
-    cut = ebamcheck.slice(touching.tessellate(1.0), [5.0], backend="planecut")
-    assert cut.areas() == pytest.approx([200.0])
-
-
 # -- the command -----------------------------------------------------------------------------------
 
 
@@ -302,13 +229,6 @@ def test_the_command_lists_every_model_with_its_summary(capsys):
     assert [line.split()[0] for line in lines] == list(MODELS)
     for line, model in zip(lines, MODELS.values(), strict=True):
         assert line.endswith(f"  {model.summary}")
-
-
-def test_the_command_wants_a_name_or_the_list(capsys):
-    with pytest.raises(SystemExit) as stopped:
-        main([])
-    assert stopped.value.code == 2
-    assert "--list" in capsys.readouterr().err
 
 
 # -- plain models: one smooth body each ------------------------------------------------------------
@@ -321,19 +241,6 @@ TOLERANCES_MM = (2.0, 0.3, 0.05)
 
 
 # -- meshes ----------------------------------------------------------------------------------------
-
-
-@EACH_PLAIN
-@pytest.mark.parametrize("tolerance_mm", TOLERANCES_MM)
-def test_one_body_of_the_designed_genus_without_slivers(model, tolerance_mm):
-    part = model.tessellate(tolerance_mm)
-    mesh = trimesh.Trimesh(part.vertices, part.faces, process=False)
-    assert mesh.body_count == 1
-    assert mesh.euler_number == model.euler_number
-    longest = np.linalg.norm(part.triangles - np.roll(part.triangles, 1, axis=1), axis=2).max(axis=1)
-    altitude = 2.0 * mesh.area_faces / longest
-    assert altitude.min() > 0.05 * tolerance_mm
-    assert part.volume > 0
 
 
 @EACH_PLAIN
@@ -362,37 +269,10 @@ def test_no_point_of_a_wall_facet_is_farther_from_the_surface_than_the_tolerance
         assert rings.distance(shapely.Point(point[:2])) <= tolerance_mm
 
 
-@pytest.mark.parametrize("tolerance_mm", TOLERANCES_MM)
-def test_no_point_of_a_sphere_or_torus_facet_is_farther_than_the_tolerance(tolerance_mm):
-    weights = np.random.default_rng(0).dirichlet([1.0, 1.0, 1.0], 40)
-    sphere = np.einsum("wj,fjk->fwk", weights, SPHERE.tessellate(tolerance_mm).triangles)
-    assert np.abs(np.linalg.norm(sphere, axis=2) - SPHERE.radius_mm).max() <= tolerance_mm
-    torus = np.einsum("wj,fjk->fwk", weights, TORUS.tessellate(tolerance_mm).triangles)
-    tube = np.hypot(np.hypot(torus[..., 0], torus[..., 1]) - TORUS.radius_mm, torus[..., 2])
-    assert np.abs(tube - TORUS.tube_mm).max() <= tolerance_mm
-
-
 @EACH_PLAIN
 def test_vertices_are_what_a_32_bit_file_keeps(model):
     vertices = model.tessellate(0.3).vertices
     assert np.array_equal(vertices, vertices.astype(np.float32))
-
-
-@EACH_PLAIN
-def test_same_tolerance_same_bytes(model, tmp_path):
-    for name in ("a.stl", "b.stl"):
-        write_stl(model.tessellate(0.3), tmp_path / name)
-    data = (tmp_path / "a.stl").read_bytes()
-    assert data == (tmp_path / "b.stl").read_bytes()
-    assert len(data) == 84 + 50 * len(model.tessellate(0.3).faces)
-    assert not data.startswith(b"solid")
-
-
-def test_a_finer_tolerance_gives_more_facets_and_never_fewer():
-    counts = [len(BLADE.tessellate(t).faces) for t in (1.0, 0.3, 0.1, 0.03)]
-    assert counts == sorted(counts)
-    # Facets of a doubly curved surface grow as one over the tolerance.
-    assert 10 < counts[-1] / counts[0] < 100
 
 
 @pytest.mark.parametrize("wrong", [0.0, -1.0, math.nan, math.inf, 1e-9, 2.1])
@@ -422,53 +302,6 @@ def test_outline_areas_against_formulas():
     assert rounded_rectangle(5.0, 4.0, 1.0).area(0.0) == pytest.approx(80.0 - 4.0 + math.pi, rel=1e-14)
 
 
-def test_a_section_at_a_step_is_that_just_above_it():
-    at, above, below = BLADE.area(30.0), BLADE.area(30.0 + 1e-9), BLADE.area(30.0 - 1e-9)
-    assert at == pytest.approx(above, rel=1e-9)
-    assert at < 0.95 * below
-
-
-# -- the demo part ---------------------------------------------------------------------------------
-
-
-def test_the_blade_is_a_part_that_the_process_can_build():
-    size = BLADE.bounds[1] - BLADE.bounds[0]
-    assert 200.0 <= size.max() <= 400.0
-    bead_mm = 6.0
-    for z in np.arange(0.84, 320.0, 8.0):
-        (region,) = BLADE.section(z, 0.01)
-        assert region.is_valid
-        holes = [shapely.Polygon(ring) for ring in region.interiors]
-        assert len(holes) == 3
-        outer = shapely.Polygon(region.exterior)
-        walls = [hole.distance(outer.boundary) for hole in holes]
-        webs = [a.distance(b) for a, b in pairwise(holes)]
-        assert min(walls) >= bead_mm
-        assert min(webs) >= 2.0 * bead_mm
-        # Wide enough for a channel tool, and solid enough somewhere for a hexagon of two beads.
-        assert min(math.sqrt(h.area / math.pi) for h in holes) >= 6.0
-        assert region.buffer(-0.9 * bead_mm).area > 500.0
-
-
-def test_the_blade_needs_no_support():
-    """Every layer lies within the one below, spread by 34 degrees from the vertical."""
-    step_mm = 2.0
-    below = BLADE.section(0.0)[0]
-    for z in np.arange(step_mm, 320.0, step_mm):
-        section = BLADE.section(z)[0]
-        held = below.buffer(step_mm * math.tan(math.radians(34.0)))
-        assert section.difference(held).area < 1e-6
-        below = section
-
-
-def test_the_blade_changes_from_layer_to_layer_in_its_freeform_half():
-    previous = BLADE.section(100.0)[0]
-    for z in (150.0, 200.0, 250.0, 300.0):
-        section = BLADE.section(z)[0]
-        assert section.symmetric_difference(previous).area > 200.0
-        previous = section
-
-
 # -- files and the command -------------------------------------------------------------------------
 
 
@@ -495,3 +328,176 @@ def test_every_model_keeps_the_protocol_and_its_name(model):
     assert MODELS[model.name] is model
     assert model.summary
     assert model.tessellate(2.0).name == model.name
+
+
+# -- reference models turned along any direction: sections, volumes and closed forms of turned solids --------------------
+
+
+TURNABLE = [m for m in MODELS.values() if isinstance(m, TurnableModel) and m.name != "menger-3"]
+DIRECTIONS = [
+    (1.0, 0.0, 0.0),
+    (0.0, 0.0, -1.0),
+    (0.3, -0.5, 0.8),
+    (-0.7, 0.6, -0.2),
+    (0.0, 1.0, 1e-3),
+    (1e-4, 0.0, 1.0),
+]
+
+
+@pytest.mark.in_turn(3)
+@pytest.mark.parametrize("model", TURNABLE, ids=lambda m: m.name)
+@pytest.mark.parametrize("direction", DIRECTIONS[:4], ids=str)
+def test_a_turned_model_is_the_part_turned_along_the_direction(model, direction):
+    turned = model.turned(direction)
+    part = model.tessellate(0.02).along(direction)
+    assert turned.volume == pytest.approx(model.volume, rel=1e-9)
+    assert np.abs(turned.bounds - part.bounds).max() <= 0.021
+    if model not in (SPHERE, TWO_SPHERES):  # their meshes keep their poles
+        assert np.abs(turned.tessellate(0.02).vertices - part.vertices).max() < 1e-3
+    heights = heights_of(turned, 4, seed=6)
+    cut = ebamcheck.slice(part, heights, backend="planecut")
+    for k, z in enumerate(heights.tolist()):
+        polygons = turned.section(z)
+        length = sum(p.length for p in polygons)
+        assert sum(p.area for p in polygons) == pytest.approx(turned.area(z), abs=2e-3 * length)
+        # 20 times the tolerance: a plane nearly along a wall shows its chords stretched.
+        assert difference(polygons, cut, k) <= 20 * 0.02 * length
+
+
+@pytest.mark.in_turn(3)
+@pytest.mark.parametrize(
+    "model", [CUBE, PRISM, BRACKET, CONE, CYLINDER, TWO_SPHERES, PYRAMID], ids=lambda m: m.name
+)
+@pytest.mark.parametrize("direction", DIRECTIONS, ids=str)
+def test_the_area_of_a_turned_model_integrates_to_its_volume(model, direction):
+    turned = model.turned(direction)
+    low, high = turned.bounds[:, 2]
+    nodes, weights = np.polynomial.legendre.leggauss(8)
+    edges = np.linspace(low, high, 21)
+    total = 0.0
+    for a, b in pairwise(edges):
+        z = a + 0.5 * (nodes + 1.0) * (b - a)
+        total += 0.5 * (b - a) * float(weights @ [turned.area(h) for h in z.tolist()])
+    assert total == pytest.approx(model.volume, rel=1e-2)
+
+
+def test_turned_sections_in_closed_form():
+    diagonal = CUBE.turned((1.0, 1.0, 1.0))
+    assert diagonal.area(math.sqrt(3) * 10.0) == pytest.approx(3 * math.sqrt(3) / 4 * 400.0)
+    assert CYLINDER.turned((1.0, 0.0, 0.0)).area(7.0) == pytest.approx(60.0 * 2 * math.sqrt(625.0 - 49.0))
+    slope = np.array([math.sin(0.3), 0.0, math.cos(0.3)])
+    assert CYLINDER.turned(slope).area(30.0 * slope[2]) == pytest.approx(math.pi * 625.0 / math.cos(0.3))
+    # A parabola: the plane is parallel to a side of the cone, half a base radius beyond the axis.
+    side = np.array([50.0, 0.0, 25.0]) / math.hypot(50.0, 25.0)
+    half_chord, depth = 25.0 * math.sqrt(0.75), math.hypot(50.0, 25.0) * 0.25
+    height = float(side @ [-12.5, 0.0, 0.0])
+    assert CONE.turned(side).area(height) == pytest.approx(4 / 3 * half_chord * depth, rel=1e-9)
+    assert CONE.turned((0.0, 0.0, -1.0)).area(-10.0) == pytest.approx(CONE.area(10.0))
+
+
+def test_turning_twice_is_turning_by_the_product():
+    once = PRISM.turned((0.3, -0.5, 0.8))
+    again = once.turned((0.1, 0.9, 0.2))
+    assert again.volume == pytest.approx(PRISM.volume)
+    z = float(again.bounds.mean(axis=0)[2])
+    upright = CUBE.turned((1.0, 0.0, 0.0)).turned((-0.0, 0.0, 1.0))
+    assert sum(p.area for p in again.section(z)) == pytest.approx(again.area(z), rel=1e-5)
+    assert upright.area(5.0) == pytest.approx(400.0)
+
+
+def test_a_direction_of_no_length_is_refused():
+    for model in TURNABLE:
+        with pytest.raises(SettingsError, match="direction"):
+            model.turned((0.0, 0.0, 0.0))
+
+
+# -- the ladder of the paper: its layers and size, its meshes, its channels, and how far they are from the surface --------------------
+
+
+def test_the_ladder_has_the_papers_layers_and_size():
+    low, high = LADDER.bounds
+    assert (high - low) == pytest.approx([245.0, 207.0, 897.6], rel=2e-3)
+    assert len(layer_heights(LADDER.tessellate(1.0), 0.2)) == 4488
+    assert LADDER_TOLERANCES_MM == (1.0, 0.8, 0.4, 0.08, 0.06, 0.04, 0.01, 0.006, 0.004, 0.002, 0.001)
+
+
+@pytest.mark.parametrize("tolerance_mm", [1.0, 0.1, 0.01])
+def test_no_point_of_the_ladder_is_farther_from_its_surface_than_the_tolerance(tolerance_mm):
+    assert farthest_from_ladder(tolerance_mm, 20_000) <= tolerance_mm
+
+
+@pytest.mark.slow
+def test_the_top_of_the_ladder():
+    part = LADDER.tessellate(0.001)
+    assert 1_440_000 < len(part.faces) < 1_520_000
+    assert np.array_equal(part.vertices, part.vertices.astype(np.float32))
+    assert farthest_from_ladder(0.001, 100_000) <= 0.001
+    heights = layer_heights(part, 0.2)
+    cut = ebamcheck.slice(part, heights, backend="planecut")
+    assert open_rings(cut) == 0
+    wanted = np.array([LADDER.area(z) for z in heights.tolist()])
+    # A third of the deepest lack of a chord, all along the walls; lips lean and show more of it.
+    assert np.abs(cut.areas() - wanted)[60:-60].max() <= 0.001 * 1400.0
+    assert np.abs(cut.areas() - wanted).sum() * 0.2 <= 0.001 * 1400.0 * 897.6
+
+
+def farthest_from_ladder(tolerance_mm, count):
+    """Greatest distance of random points of facets from the surface, by its implicit forms."""
+    rng = np.random.default_rng(2)
+    triangles = LADDER.tessellate(tolerance_mm).triangles
+    chosen = triangles[rng.integers(0, len(triangles), count)]
+    weights = rng.dirichlet([1.0, 1.0, 1.0], count)
+    weights[::3] = [0.5, 0.0, 0.5]
+    points = np.einsum("ij,ijk->ik", weights, chosen)
+    step = 1e-4
+    forms = [ring_form, *(channel_form(c) for c in LADDER.channels)]
+    found = np.full(count, np.inf)
+    for form in forms:
+        value = form(points)
+        slope = [(form(points + step * e) - form(points - step * e)) / (2 * step) for e in np.eye(3)]
+        # First order; forms are squared distances in units of the half axes, hence (1 + |value|).
+        found = np.minimum(found, np.abs(value) / np.linalg.norm(slope, axis=0))
+    return found.max()
+
+
+def ring_form(points):
+    """Distance, in half widths and lips, from the middle of the wall less one: 0 on the surface."""
+    x, y, z = points.T
+    angle = np.arctan2(y, x)
+    turned = angle - math.radians(LADDER.twist_deg) * z / LADDER.height_mm
+    middle = LADDER.radius_mm * (1 + LADDER.bulge * np.sin(math.pi * z / LADDER.height_mm))
+    middle = middle + LADDER.oval_mm * np.cos(2 * turned) + LADDER.lobes_mm * np.cos(3 * turned)
+    half = LADDER.half_mm + LADDER.half_oval_mm * np.cos(2 * turned)
+    off = (np.hypot(x, y) - middle) / half
+    return np.hypot(off, beyond(z, 0.0, LADDER.height_mm, LADDER.lip_mm)) - 1.0
+
+
+def channel_form(channel):
+    def form(points):
+        x, y, z = points.T
+        place = math.radians(channel.angle_deg) + math.radians(LADDER.twist_deg) * z / LADDER.height_mm
+        turned = place - math.radians(LADDER.twist_deg) * z / LADDER.height_mm
+        middle = LADDER.radius_mm * (1 + LADDER.bulge * np.sin(math.pi * z / LADDER.height_mm))
+        middle = middle + LADDER.oval_mm * np.cos(2 * turned) + LADDER.lobes_mm * np.cos(3 * turned)
+        out = (x * np.cos(place) + y * np.sin(place) - middle) / channel.through_mm
+        along = (-x * np.sin(place) + y * np.cos(place)) / channel.along_mm
+        ends = channel.ends
+        return np.sqrt(out**2 + along**2 + beyond(z, ends.low_mm, ends.high_mm, ends.cap_mm) ** 2) - 1.0
+
+    return form
+
+
+def beyond(z, low, high, cap):
+    return np.maximum(0.0, np.maximum(low + cap - z, z - high + cap)) / cap
+
+
+def test_the_ladders_channels_are_closed_and_lie_in_the_wall():
+    assert isinstance(LADDER, RingWall)
+    for z in (0.1, 20.0, 100.0, 500.0, 855.0, 890.0, 897.5):
+        (region,) = LADDER.section(z)
+        open_here = sum(c.ends.low_mm < z < c.ends.high_mm for c in LADDER.channels)
+        assert len(region.interiors) == 1 + open_here
+        rings = [region.exterior, *region.interiors]
+        assert min(a.distance(b) for i, a in enumerate(rings) for b in rings[:i]) > (
+            2.0 if open_here else 0.5
+        )

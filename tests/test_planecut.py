@@ -2,28 +2,20 @@
 
 from __future__ import annotations
 
-import itertools
 from pathlib import Path
 
 import numpy as np
 import pytest
 import shapely
-from corpus_sections import simple_sections
 from numpy.testing import assert_allclose
-from parts import box, join, moved, sphere, tilted, torus, turn_z, welded
+from parts import box, join, moved, sphere, tilted, torus, turn_z
+from section_oracle import simple_sections
 
 import ebamcheck
-from ebamcheck.layers.stack import concatenate, from_rings
+from ebamcheck.layers.stack import concatenate
 from ebamcheck.mesh.part import Part, from_arrays
 from ebamcheck_planecut import PlaneCut
 from ebamcheck_planecut.cut import LONE_LAYERS
-from ebamcheck_planecut.overlaps import (
-    CLEAN,
-    NESTED_WRONG,
-    TOUCHING,
-    classify_layer,
-    overlap_search,
-)
 
 
 def cut(part: Part, heights, **settings):
@@ -118,16 +110,6 @@ def tilted_about_z(part, degrees):
 
 def welded_body(part, i):
     return from_arrays(part.vertices[8 * i : 8 * i + 8], part.faces[12 * i : 12 * i + 12] - 8 * i)
-
-
-def test_bodies_that_touch_along_an_edge_stay_apart():
-    touching = welded(join(box((0, 0, 0), (1, 1, 1)), box((1, 1, 0), (2, 2, 1))))
-    assert len(touching.vertices) == 14
-    layers = cut(touching, [0.5])
-    assert layers.ring_counts().tolist() == [2]
-    assert layers.areas().tolist() == [2.0]
-    face_to_face = welded(join(box((0, 0, 0), (1, 1, 1)), box((1, 0, 0), (2, 1, 1))))
-    assert cut(face_to_face, [0.5]).areas().tolist() == [2.0]
 
 
 def test_inside_out_is_empty_and_open_paths_are_kept():
@@ -295,78 +277,3 @@ def test_a_few_layers_along_a_new_direction_are_those_of_the_whole_sorted_mesh(n
             same(first.turned(turned).slice(heights[k : k + 1]), whole.block(k, k + 1))
             same(again.slice(heights[k : k + 1]), whole.block(k, k + 1))
         same(first.turned(turned).slice(heights[:LONE_LAYERS]), whole.block(0, LONE_LAYERS))
-
-
-# -- the tree of boxes ---------------------------------------------------------------------------------
-
-
-def crossing(p, q, r, s) -> bool:
-    """Whether segments pq and rs share a point; exact for small whole numbers."""
-
-    def side(a, b, c):
-        return (b[0] - a[0]) * (c[1] - a[1]) - (c[0] - a[0]) * (b[1] - a[1])
-
-    if max(p[0], q[0]) < min(r[0], s[0]) or max(r[0], s[0]) < min(p[0], q[0]):
-        return False
-    if max(p[1], q[1]) < min(r[1], s[1]) or max(r[1], s[1]) < min(p[1], q[1]):
-        return False
-    return side(p, q, r) * side(p, q, s) <= 0 and side(r, s, p) * side(r, s, q) <= 0
-
-
-def meets_anywhere(rings) -> bool:
-    """Every segment with every other one that does not follow it."""
-    segments = [
-        (r, i, ring[i], ring[(i + 1) % len(ring)]) for r, ring in enumerate(rings) for i in range(len(ring))
-    ]
-    for (r, i, p, q), (s, k, t, u) in itertools.combinations(segments, 2):
-        follow = r == s and (k == (i + 1) % len(rings[r]) or i == (k + 1) % len(rings[r]))
-        if not follow and crossing(p, q, t, u):
-            return True
-    return False
-
-
-def touches(layers) -> bool:
-    search = overlap_search(len(layers.points), 0.0)
-    rings = layers.closed.size
-    return classify_layer(layers.points, layers.ring_starts, layers.closed, 0, rings, search) == TOUCHING
-
-
-def star(rng, points, centre, scale):
-    """A ring that goes around its centre once, on whole numbers."""
-    angle = np.sort(rng.random(points)) * 2 * np.pi
-    radius = rng.uniform(0.3, 1.0, points) * scale
-    return np.rint(np.stack([radius * np.cos(angle), radius * np.sin(angle)], 1) + centre)
-
-
-def test_the_tree_finds_what_all_pairs_find():
-    rng = np.random.default_rng(7)
-    found = []
-    for _ in range(300):
-        rings = [
-            star(rng, rng.integers(3, 60), rng.integers(-60, 60, 2), rng.choice([10, 40, 80, 500]))
-            for _ in range(rng.integers(1, 4))
-        ]
-        layers = from_rings([0.0], [rings])
-        expected = meets_anywhere([layers.ring(r).tolist() for r in range(layers.closed.size)])
-        assert touches(layers) == expected
-        found.append(expected)
-    assert 60 < sum(found) < 240  # both kinds are there
-
-
-def test_kinds_of_layers():
-    square = np.array([(0, 0), (4, 0), (4, 4), (0, 4)], float)
-    stack = [
-        [square],
-        [square[::-1]],
-        [square, square + 2.0],
-        [square, square * 0.25 + 1],
-        [square, square[::-1] * 0.25 + 1],
-        [],
-    ]
-    layers = from_rings(np.arange(len(stack)), stack)
-    search = overlap_search(len(layers.points), 0.0)
-    kinds = [
-        classify_layer(layers.points, layers.ring_starts, layers.closed, a, b, search)
-        for a, b in itertools.pairwise(layers.layer_starts.tolist())
-    ]
-    assert kinds == [CLEAN, NESTED_WRONG, TOUCHING, NESTED_WRONG, CLEAN, CLEAN]

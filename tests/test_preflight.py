@@ -7,18 +7,16 @@ import json
 import numpy as np
 import pytest
 import shapely
-from command_line import FAST, WIDE, WIDE_TOML, ebamcheck, frame, write_stl
+from command_line import WIDE_TOML, ebamcheck, frame, write_stl
 from parts import BOX_FACES, box, moved, sphere
 
 from ebamcheck.commands.run import preflight_command, preflight_text
 from ebamcheck.errors import InputError, SettingsError
-from ebamcheck.layers.heights import crossing_counts, layer_heights
 from ebamcheck.mesh.files import load
 from ebamcheck.mesh.part import from_arrays
 from ebamcheck.pipeline import check_job, run_job
 from ebamcheck.preflight.report import ready
 from ebamcheck.preflight.room import enters
-from ebamcheck.preflight.workload import mean_section, workload
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process import KeepOut
 from ebamcheck.slicers.slicing import slice_part
@@ -113,20 +111,6 @@ def test_every_check_that_does_not_pass_has_a_remedy(tmp_path):
     assert all(check.name in text and check.remedy in text for check in bad)
 
 
-@pytest.mark.parametrize(("change", "told", "remedy"), [
-    ("open", "open edges", "close the mesh"),
-    ("turned", "every facet faces inwards", "turn them in the model, or use --fix-orientation"),
-])  # fmt: skip
-def test_a_faulty_mesh_is_told_its_own_remedy_once(tmp_path, change, told, remedy):
-    part = box((0, 0, 0), (40, 40, 30))
-    faces = part.faces[:-1] if change == "open" else part.faces[:, ::-1]
-    file = stl(tmp_path, from_arrays(part.vertices, faces))
-    mesh = next(check for check in ready(file, Config()).preflight.checks if check.name == "mesh")
-    assert told in mesh.text
-    assert mesh.remedy == remedy
-    assert remedy not in mesh.text
-
-
 def test_a_part_beside_the_travel_is_told_where_to_go(tmp_path):
     part = stl(tmp_path, box((5000, 0, 0), (5100, 60, 40)))
     with pytest.raises(
@@ -171,17 +155,6 @@ def test_sizes_that_speak_for_another_unit_are_warned_of(tmp_path, size, told):
     assert bool(warned) == bool(told)
     if told and "few beads" not in told:
         assert told in warned[0].text
-
-
-def test_a_file_in_inches_is_told_what_it_would_be(tmp_path):
-    part = stl(tmp_path, box((0, 0, 0), (4, 3, 2)))
-    settings = Config().changed(slicing={"backends": tuple(FAST.split(","))}, process=WIDE)
-    found = {f["code"]: f for f in check_job(part, tmp_path / "a.run", settings).manifest["findings"]}
-    assert found["part-under-beads"]["severity"] == "warning"
-    assert "in inches it would be 101.6 x 76.2 x 50.8 mm" in found["part-under-beads"]["remedy"]
-    inches = ready(part, settings.changed(part={"units": "inches"}))
-    assert inches.part.size == pytest.approx([101.6, 76.2, 50.8])
-    assert [c for c in inches.preflight.checks if c.level == "warning"] == []
 
 
 # -- keep-outs ---------------------------------------------------------------------------------------
@@ -247,21 +220,6 @@ def test_a_clamp_in_the_way_stops_a_run_and_not_a_check(block, tmp_path):
 
 
 # -- Preflight: work that asks first, heights and files that are refused, and the commands that it speaks through --
-
-
-def test_points_are_those_of_the_slices():
-    part = sphere(20.0)
-    heights = layer_heights(part, 0.7)
-    work = workload(part, heights, Config(), "check")
-    assert (work.layers, work.points) == (len(heights), int(crossing_counts(part, heights).sum()))
-    assert work.points == len(slice_part(part, heights).points)
-    assert work.islands == 0
-
-
-def test_the_mean_section_is_that_of_a_prism():
-    area, border = mean_section(frame())
-    assert area == pytest.approx(1376.0)
-    assert border == pytest.approx(4 * 40 + 2 * (14 + 16))
 
 
 @pytest.mark.parametrize("job", [run_job, check_job])
@@ -343,11 +301,3 @@ def test_the_command_tells_by_its_exit_code(block, capsys):
         preflight_command(block, job="fly")
     with pytest.raises(SettingsError, match="give either"):
         preflight_command()
-
-
-def test_a_plate_and_a_part_exclude_each_other(block, tmp_path):
-    for arguments in (["run", block.name, "--plate", "p.toml"], ["run"], ["check", "--plate", block.name]):
-        done = ebamcheck(*arguments, cwd=tmp_path)
-        assert done.returncode == 2
-        assert "plate" in done.stderr
-        assert len(done.stderr.splitlines()) == 1

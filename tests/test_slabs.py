@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from command_line import ebamcheck, write_stl
 from parts import box, join, moved, sphere, tilted, torus
-from pipeline_runs import Listener
 from slicers_here import slicers_here
 
 from ebamcheck.errors import ExitCode, InputError, SettingsError
@@ -202,27 +201,6 @@ def test_a_check_in_slabs_writes_the_tables_of_a_check(part, slabs, backends, tm
     page = (tmp_path / f"{slabs}.run" / "report.html").read_text()
     assert f"checked in {slabs} slabs" in page
     assert "No method found a contour" not in page or codes[0] == 1
-
-
-@pytest.mark.slow
-def test_an_interrupted_check_leaves_nothing_half_and_the_next_one_is_whole(tmp_path):
-    class Interrupting(Listener):
-        def advance(self, steps):
-            raise KeyboardInterrupt
-
-    path = write_stl(sphere(), tmp_path / "part.stl")
-    with pytest.raises(KeyboardInterrupt):
-        check_in_slabs(path, tmp_path / "a.run", FAST, 3, observer=Interrupting())
-    assert not (tmp_path / "a.run").exists()
-    check_in_slabs(path, tmp_path / "a.run", FAST, 3)
-    check_in_slabs(path, tmp_path / "b.run", FAST, 2)
-    assert tables(tmp_path / "a.run")[:2] == tables(tmp_path / "b.run")[:2]
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["a.run", "b.run", "part.stl"]
-    listener = Listener()
-    check_in_slabs(path, tmp_path / "a.run", FAST, 3, resume=True, observer=listener)
-    assert any("is finished already" in note for note in listener.notes)
-    with pytest.raises(SettingsError, match="finished"):
-        check_in_slabs(path, tmp_path / "a.run", FAST, 3)
 
 
 # -- what is refused -------------------------------------------------------------------------------------

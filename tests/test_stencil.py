@@ -20,7 +20,6 @@ from ebamcheck_stencil import Stencil
 from ebamcheck_stencil.crossings import Flips, empty_bitmap, flip
 from ebamcheck_stencil.field_of_view import MARGIN_PX, FieldOfView, field_of_view
 from ebamcheck_stencil.marching_squares import contours_of_layers, layers_of
-from ebamcheck_stencil.openings import border, capped
 from ebamcheck_stencil.slicer import inside_rule
 
 # -- what it says about itself -------------------------------------------------------------------------
@@ -45,17 +44,6 @@ def test_without_opengl_the_probe_says_why_and_what_to_install(monkeypatch):
     assert "libegl1" in probe.hint
     with pytest.raises(BackendMissing, match="no such library"):
         cut(UNIT, [0.5])
-
-
-def test_the_driver_s_own_fault_does_not_come_out_of_the_probe(monkeypatch):
-    class Broken:
-        info: dict = {}  # noqa: RUF012
-
-        def release(self):
-            raise RuntimeError("cannot be released")
-
-    monkeypatch.setattr(moderngl, "create_context", lambda **_: Broken())
-    assert not Stencil().probe().available
 
 
 @pytest.mark.parametrize("wrong", [{"pixel_mm": 0}, {"buffer_mb": -1}, {"mode": "fast"}, {"pixels": 3}])
@@ -153,15 +141,3 @@ def test_no_point_lies_within_a_straight_run():
         ahead = np.roll(layers.ring(r), -1, axis=0) - layers.ring(r)
         behind = np.roll(ahead, 1, axis=0)
         assert (ahead[:, 0] * behind[:, 1] != ahead[:, 1] * behind[:, 0]).all()
-
-
-def test_the_border_of_an_opening():
-    vertices, faces = UNIT.vertices, UNIT.faces
-    assert len(border(faces)) == 0
-    missing = faces[0]
-    edges = {tuple(e) for e in border(np.delete(faces, 0, axis=0)).tolist()}
-    assert edges == {tuple(e) for e in zip(np.roll(missing, -1).tolist(), missing.tolist(), strict=True)}
-    whole = capped(from_arrays(vertices, np.delete(faces, 0, axis=0)))
-    assert len(border(whole.faces)) == 0
-    assert whole.volume == pytest.approx(1.0)
-    assert np.array_equal(whole.bounds, from_arrays(vertices, faces).bounds)

@@ -8,9 +8,8 @@ import moderngl
 import numpy as np
 import pytest
 import shapely
-from corpus_sections import simple_sections
 from parts import box, join, moved, torus
-from section_oracle import depth_beyond
+from section_oracle import depth_beyond, simple_sections
 from stencil_cuts import BOTH_MODES, PROBE, UNIT, cut, gl, image_at, same, turned
 
 import ebamcheck
@@ -22,7 +21,6 @@ from ebamcheck_models import LADDER
 from ebamcheck_stencil import Stencil, opengl
 from ebamcheck_stencil.drawn_facets import Bands, DrawnFacets
 from ebamcheck_stencil.field_of_view import SUBPIXELS, FieldOfView, field_of_view
-from ebamcheck_stencil.literal import LiteralSlices
 from ebamcheck_stencil.slicer import CLIP_MOVE_PX, FLOAT32_STEP
 
 
@@ -179,15 +177,6 @@ def test_a_bitmap_that_no_buffer_of_the_driver_holds_is_refused(monkeypatch):
     assert cut(UNIT, [0.5], mode="literal", pixel_mm=0.1).areas()[0] == pytest.approx(1.0, abs=0.2)
 
 
-def test_two_prepared_parts_live_side_by_side():
-    settings = Stencil.Settings(pixel_mm=0.1, mode="literal")
-    small, large = (box(upper=(s, s, s)) for s in (2, 4))
-    with Stencil().prepare(small, settings) as a, Stencil().prepare(large, settings) as b:
-        assert isinstance(a, LiteralSlices)
-        areas = [p.slice(np.array([1.0])).areas()[0] for p in (a, b, a)]
-    assert areas == pytest.approx([4, 16, 4], abs=1.0)
-
-
 # -- open surfaces -----------------------------------------------------------------------------------
 
 
@@ -203,13 +192,6 @@ def test_an_opening_is_reported_and_spoils_no_layer_that_does_not_cut_it():
     clear = (heights < z.min()) | (heights > z.max())
     assert 0 < clear.sum() < heights.size
     assert same(opened.take(np.flatnonzero(clear)), closed.take(np.flatnonzero(clear)))
-
-
-def test_a_facet_turned_over_is_outweighed():
-    part = box(upper=(5, 5, 5))
-    flipped = part.faces.copy()
-    flipped[8] = flipped[8, ::-1]
-    assert same(cut(Part(part.vertices, flipped), [1, 3], pixel_mm=0.1), cut(part, [1, 3], pixel_mm=0.1))
 
 
 @pytest.mark.corpus

@@ -1,4 +1,4 @@
-"""The strict STL reader: what it reads, what it refuses, and what it says."""
+"""Readers of STL, OBJ and PLY: what they read, what they refuse, and what they say; a mutated file of any format."""
 
 from __future__ import annotations
 
@@ -59,6 +59,9 @@ BOX = box().triangles
         pytest.param(ascii_text(BOX), id="ascii"),
         pytest.param(ascii_text(BOX, "\r\n"), id="CRLF"),
         pytest.param(ascii_text(BOX, "\r"), id="CR"),
+        pytest.param(ascii_text(BOX, " "), id="one line"),
+        pytest.param((ascii_text(BOX[:5], " ") + ascii_text(BOX[5:], " ")).strip(), id="two solids in one line"),
+        pytest.param(ascii_text(BOX, " ", name="the facet of a box"), id="one line, with a name of several words"),
         pytest.param(ascii_text(BOX).upper(), id="upper case"),
         pytest.param(b"\xef\xbb\xbf" + ascii_text(BOX), id="byte-order mark"),
         pytest.param(ascii_text(BOX[:5]) + ascii_text(BOX[5:]), id="two solids"),
@@ -210,11 +213,9 @@ def test_numbers_that_differ_in_the_last_bit_stay_apart():
     assert weld(np.concatenate([triangles, triangles]))[1].tolist() == [[0, 1, 2], [0, 1, 2]]
 
 
-# -- readers of meshes against edited, cut and scrambled files: a sound part comes out, or one line that says why not --------------------
+# -- all readers, against edited, cut and scrambled files ----------------------------------------
 
 
-PART = box()
-TRIANGLES = PART.triangles
 QUADS = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
 """Sides of the unit cube below, outwards or inwards."""
 CUBE = [(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)]
@@ -222,23 +223,6 @@ MIXED = [*QUADS[:3], *[t for q in QUADS[3:] for t in ((q[0], q[1], q[2]), (q[0],
 """Three sides of four corners, and three of two triangles each."""
 
 MUTATIONS = 300
-
-
-def stl_binary():
-    facets = b"".join(struct.pack("<12fH", *([0.0] * 3), *np.ravel(t), 0) for t in TRIANGLES)
-    return b"box".ljust(80) + struct.pack("<I", len(TRIANGLES)) + facets
-
-
-def stl_text(separator="\n"):
-    words = ["solid box"]
-    for t in TRIANGLES:
-        words += [
-            "facet normal 0 0 0",
-            "outer loop",
-            *("vertex " + " ".join(repr(float(v)) for v in c) for c in t),
-        ]
-        words += ["endloop", "endfacet"]
-    return separator.join([*words, "endsolid box\n"]).encode()
 
 
 def obj(faces=MIXED, style="{0}"):
@@ -270,15 +254,15 @@ def three_mf():
     import trimesh
 
     out = io.BytesIO()
-    trimesh.Trimesh(PART.vertices, PART.faces, process=False).export(out, file_type="3mf")
+    trimesh.Trimesh(box().vertices, box().faces, process=False).export(out, file_type="3mf")
     return out.getvalue()
 
 
 TRIANGULAR = [t for q in QUADS for t in ((q[0], q[1], q[2]), (q[0], q[2], q[3]))]
 FILES = {
-    "binary.stl": stl_binary,
-    "text.stl": stl_text,
-    "line.stl": lambda: stl_text(" "),
+    "binary.stl": lambda: binary(BOX),
+    "text.stl": lambda: ascii_text(BOX),
+    "line.stl": lambda: ascii_text(BOX, " "),
     "mixed.obj": obj,
     "slashes.obj": lambda: obj(style="{0}//1"),
     "text.ply": ply_text,
@@ -308,17 +292,7 @@ def mutated(data, draw):
             case 4:
                 del data[at:]
             case 5:
-                odd = [
-                    b"nan",
-                    b"-1",
-                    b"1e999",
-                    b"4294967295",
-                    b"0",
-                    b"1_0",
-                    b"-",
-                    b"\xff\xff\xff\xff",
-                    b"99999999999999999999",
-                ]
+                odd = b"nan -1 1e999 4294967295 0 1_0 - \xff\xff\xff\xff 99999999999999999999".split()
                 data[at : at + 2] = odd[int(draw.integers(0, len(odd)))]
             case 6:
                 lines = bytes(data).split(b"\n")
@@ -457,27 +431,3 @@ def test_an_obj_that_does_not_fit_is_refused(data, says):
 def test_a_ply_whose_counts_do_not_fit_is_refused(data, says):
     with pytest.raises(InputError, match=says):
         read_ply(data, "x.ply")
-
-
-@pytest.mark.parametrize(
-    "data",
-    [
-        pytest.param(stl_text(" "), id="one line"),
-        pytest.param(stl_text(" ").strip(), id="no end of line"),
-        pytest.param(stl_text(" ").replace(b"solid box", b"solid", 1), id="no name"),
-        pytest.param(stl_text(" ").replace(b"solid box", b"solid the facet of a box", 1), id="a name of several words"),
-        pytest.param(stl_text(" ").upper(), id="upper case"),
-        pytest.param(stl_text(" ").replace(b"normal 0 0 0", b"normal nan nan nan"), id="normals that nobody uses"),
-        pytest.param(stl_text("\n").replace(b"solid box", b"solid facet normal test", 1), id="a name like a facet"),
-    ],
-)  # fmt: skip
-def test_a_text_stl_in_one_line_is_read(data):
-    assert np.array_equal(read_triangles(data, "x.stl")[0], TRIANGLES.astype(np.float32))
-
-
-def test_two_solids_in_one_line_are_both_read():
-    line = stl_text(" ").strip()
-    read = read_triangles(line + b" " + line, "x.stl")[0]
-    assert np.array_equal(read, np.concatenate([TRIANGLES, TRIANGLES]).astype(np.float32))
-    with pytest.raises(InputError, match=r"truncated|expected"):
-        read_triangles(line[: len(line) // 2], "x.stl")

@@ -12,12 +12,7 @@ import pytest
 from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.json_values import plain, sha256_of_json
 from ebamcheck.record import run_folder as store
-from ebamcheck.record.run_folder import (
-    MANIFEST,
-    RunFolder,
-    finished_run,
-    start_run,
-)
+from ebamcheck.record.run_folder import MANIFEST, RunFolder, finished_run, start_run
 
 
 def finished(target, text="first", finished="2026-11-22T14:15:00Z", force=False):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import locale
 import zipfile
 from pathlib import Path
 
@@ -156,28 +155,6 @@ def test_volumes_that_modify_others_are_left_out_and_said(put, kind):
     assert "left out: object 1" in part.notes[0]
 
 
-def test_an_old_mark_of_a_modifier_and_components_of_other_slicers_are_known(put):
-    assert ebamcheck.load(
-        _with(NOTES, RANGED.format("modifier", "1"), package(model(TWO, ONE)), put)
-    ).volume == pytest.approx(72000)
-    path = _with(
-        "Metadata/model_settings.config", BAMBU.format("support_blocker"), _parts('objectid="5"'), put
-    )
-    assert ebamcheck.load(path).volume == pytest.approx(72000)
-    marked = f'<object id="2" type="model"><metadatagroup><metadata name="cura:infill_mesh">True</metadata></metadatagroup>{mesh(((80, 0, 0), B))}</object>'
-    path = put(
-        package(
-            model(
-                box(1, A) + marked,
-                ONE,
-                'objectid="2"',
-                more='xmlns:cura="http://software.ultimaker.com/xml/cura/3mf"',
-            )
-        )
-    )
-    assert ebamcheck.load(path).volume == pytest.approx(72000)
-
-
 def test_a_modifier_of_one_object_is_built_where_it_stands_by_itself(put):
     """Of object 5 a modifier, but a part of object 6, and an item of its own."""
     away = 'transform="1 0 0 0 1 0 0 0 1 {} 0 0"'
@@ -301,16 +278,6 @@ def test_notes_of_a_slicer_that_cannot_be_read_are_refused(put, name, text, fits
     assert "\n" not in str(refused.value)
 
 
-def test_copies_up_to_the_limit_are_read(put, monkeypatch):
-    monkeypatch.setattr(reader, "MOST_COPIES", 1000)
-    hundred = components(2, *[ONE] * 100)
-    assert (
-        len(ebamcheck.load(put(package(model(box(1, A) + hundred, *['objectid="2"'] * 10)))).faces) == 12_000
-    )
-    with pytest.raises(InputError, match="places 1001 meshes"):
-        ebamcheck.load(put(package(model(box(1, A) + hundred, *['objectid="2"'] * 10, ONE))))
-
-
 @pytest.mark.parametrize(("times", "fits"), [(1.2, False), (1 / 1.2, True)])
 def test_a_small_file_of_much_text_is_not_unpacked(put, monkeypatch, times, fits):
     data = package(model(box(1, A), ONE), a_txt=bytes(1 << 20))
@@ -328,12 +295,6 @@ def test_a_small_file_of_much_text_is_not_unpacked(put, monkeypatch, times, fits
     if not fits:
         with pytest.raises(InputError, match="would unpack to"):
             ebamcheck.load(put(data))
-
-
-def test_reading_leaves_the_locale_of_the_process(put):
-    before = locale.setlocale(locale.LC_ALL)
-    ebamcheck.load(put(package(model(box(1, A), ONE))))
-    assert locale.setlocale(locale.LC_ALL) == before
 
 
 # -- 3MF: numbers, units and models that could be read in two ways, or would be read as something else than they say --------------------

@@ -19,7 +19,7 @@ import pytest
 import shapely
 
 from ebamcheck.comparison import compare
-from ebamcheck.errors import BackendFailed, BackendMissing, SettingsError
+from ebamcheck.errors import BackendFailed, BackendMissing
 from ebamcheck.layers.even_odd import directed_by_nesting
 from ebamcheck.layers.stack import Layers, from_rings
 from ebamcheck.mesh.part import Part
@@ -124,14 +124,6 @@ def test_stacks_agree_with_the_exact_cut(witness: Any, name: str) -> None:
 
 
 @pytest.mark.parametrize("witness", WITNESSES, ids=named)
-@pytest.mark.parametrize("size_mm", [1e-3, 4000.0])
-def test_tiny_and_huge_parts_agree(witness: Any, size_mm: float) -> None:
-    available(witness)
-    part = mapped(simple("tilted plate"), np.eye(3) * size_mm / 27.0)
-    within_bounds(witness, part, middles(part, 12))
-
-
-@pytest.mark.parametrize("witness", WITNESSES, ids=named)
 def test_layers_of_other_heights_agree(witness: Any) -> None:
     """Single planes, runs of two steps, and heights a hair over the bottom and under the top."""
     available(witness)
@@ -193,22 +185,6 @@ def test_a_time_limit_ends_a_run_and_leaves_nothing(
     assert not list(tmp_path.iterdir())
 
 
-def test_images_of_prusaslicer_have_a_limit() -> None:
-    witness = Prusa()
-    available(witness)
-    with pytest.raises(SettingsError, match="give a larger one"):
-        cut(witness, simple("sphere"), [1.0], pixel_mm=1e-6)
-
-
-def test_definitions_of_cura_can_be_elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    available(Cura())
-    monkeypatch.setenv("EBAMCHECK_CURA_DEFINITIONS", str(tmp_path))
-    probe = Cura().probe()
-    assert not probe.available
-    assert str(tmp_path) in probe.why
-    assert "apt install cura" in probe.hint
-
-
 class TestTrimesh(SlicerSuite):
     slicer = TrimeshSections
     models = ("cube", "torus")
@@ -230,9 +206,6 @@ class TestCura(SlicerSuite):
 class TestPrusa(SlicerSuite):
     slicer = Prusa
     models = ("cube", "torus", "tilted-plate")
-
-
-# -- programs of others at work, and what they write: each is run in its folder, and its slices are read or refused --------------------
 
 
 # -- programs ------------------------------------------------------------------------------------------
@@ -285,14 +258,6 @@ def test_a_program_that_hangs_is_ended_with_what_it_started(tmp_path: Path) -> N
         INTERPRETER.run(["-c", script], folder, 3.0)
     for pid in map(int, told.read_text().split()):
         assert _ends(pid)
-
-
-def test_a_program_tells_its_version() -> None:
-    probe = INTERPRETER.probe()
-    assert probe.available
-    assert probe.versions["Python"] == ".".join(map(str, sys.version_info[:3]))
-    mute = replace(INTERPRETER, version_arguments=("-c", "print('hello')"))
-    assert "does not tell a version" in mute.probe().why
 
 
 @pytest.mark.parametrize("witness", PROGRAMS, ids=named)
@@ -437,11 +402,6 @@ def test_images_of_prusaslicer_are_read(tmp_path: Path, filtered: int) -> None:
     assert len(outer) == len(hole) == 9
 
 
-def test_solid_up_to_the_edge_of_an_image_has_a_closed_contour() -> None:
-    (ring,) = contours(np.ones((3, 4), np.bool_))
-    assert shapely.Polygon(ring).bounds == (0.0, 0.0, 4.0, 3.0)
-
-
 def test_unreadable_archives_are_refused(tmp_path: Path) -> None:
     (tmp_path / "part.sl1").write_bytes(b"PK no archive")
     with pytest.raises(BackendFailed, match="cannot be read"):
@@ -456,17 +416,7 @@ def test_unreadable_archives_are_refused(tmp_path: Path) -> None:
         list(archived_images(tmp_path / "cut.sl1"))
 
 
-# -- heights and places that outside slicers are asked for: lattices, blocks of a stack, scales --------------------
-
-
 # -- heights and lattices ------------------------------------------------------------------------------
-
-
-def test_even_heights_are_one_lattice_that_goes_on_to_both_ends() -> None:
-    (lattice,) = lattices_of(np.arange(40, 60) * 0.2 + 0.1, 0.0, 900.0)
-    assert lattice.count == 4500
-    assert lattice.first_mm == pytest.approx(0.1, abs=1e-12)
-    assert lattice.heights[-1] < 900.0
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -481,11 +431,6 @@ def test_every_height_lies_in_a_lattice_and_lattices_stay_in_the_part(seed: int)
         assert low <= lattice.first_mm
         assert lattice.heights[-1] <= high
     assert sum(lattice.count == 1 for lattice in found) <= heights.size
-
-
-def test_a_few_planes_of_a_fine_step_are_cut_alone() -> None:
-    found = lattices_of(np.array([5.0, 5.001, 5.002]), 0.0, 900.0)
-    assert [lattice.count for lattice in found] == [1, 1, 1]
 
 
 class Counted:
@@ -518,16 +463,6 @@ def test_blocks_of_a_stack_are_cut_once_and_come_back_in_order() -> None:
     assert first.backend == "counted"
 
 
-def test_heights_outside_the_part_are_empty_and_run_nothing() -> None:
-    counted = Counted()
-    with LatticeStack(box((0, 0, 1), (3, 3, 9)), {}, counted) as stack:
-        layers = stack.slice(np.array([-5.0, 0.9, 9.1, 1e5]))
-        mixed = stack.slice(np.array([0.0, 2.5, 20.0]))
-    assert layers.ring_counts().tolist() == [0, 0, 0, 0]
-    assert mixed.ring_counts().tolist() == [0, 1, 0]
-    assert len(counted.runs) == 1
-
-
 # -- placement -----------------------------------------------------------------------------------------
 
 
@@ -550,10 +485,3 @@ def test_planes_lie_in_the_middles_of_layers_and_marks_are_cut_in_layer_0_only(c
     assert (z[:-8] > 0.25).all()
     assert ((z[-8:-4] > 0.25).any(axis=1) & (z[-8:-4] < 0.25).any(axis=1)).any()
     assert z.max() >= 0.5 * placement.layer_count
-
-
-@pytest.mark.parametrize("side", [1e-6, 0.99, 1.0, 63.9999, 64.0, 64.1, 1e7])
-def test_scales_are_powers_of_two(side: float) -> None:
-    scale = scale_to(box((0, 0, 0), (side, 0.1 * side, 1)), 64.0)
-    assert np.frexp(scale)[0] == 0.5
-    assert 32.0 <= side * scale <= 64.0
