@@ -161,20 +161,6 @@ def test_inspect_and_preflight_say_what_is_made_of_each_body(name, level, words,
     assert f"volume mm3           {CASES[name][1]:.9g}" in told.stdout
 
 
-def test_a_thousand_cavities_are_told_apart_without_cutting(monkeypatch):
-    holes = [
-        ((4 + 10 * x, 4 + 10 * y, 4 + 10 * z), (2, 2, 2), IN)
-        for x in range(10)
-        for y in range(10)
-        for z in range(10)
-    ]
-    part = boxes(((0, 0, 0), (100, 100, 100), OUT), *holes)
-    monkeypatch.setattr("ebamcheck.mesh.bodies.MOST_CUT_FACETS", 0)
-    found = inspect(part)
-    assert (found.bodies, found.related_bodies, len(found.relations)) == (1001, 1000, 100)
-    assert found.volume_mm3 == pytest.approx(1e6 - 8000)
-
-
 def test_too_many_to_unite_is_said(monkeypatch, tmp_path):
     monkeypatch.setattr("ebamcheck.mesh.bodies.MOST_CUT_FACETS", 10)
     part = dataclasses.replace(CASES["overlap"][0])
@@ -240,26 +226,6 @@ def test_touching_bodies_are_one_region(name, backend):
     for k in range(3):
         region = shapely.union_all(layers.polygons(k))
         assert region.length == pytest.approx(float(layers.perimeters()[k]), rel=1e-12)  # no spur
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_chains_of_bodies_turned_any_way_are_one_region(seed):
-    rng = np.random.default_rng(seed)
-    for tilted in (False, True) * 4:
-        bodies, x, y, before = [], 0.0, 0.0, 0.0
-        for _ in range(rng.integers(2, 5)):
-            width, height = rng.uniform(3, 20, 2)
-            y += rng.uniform(-0.9 * height, 0.9 * before) if bodies else 0.0
-            bodies.append(box((x, y, 0), (x + width, y + height, 20)))
-            x, before = x + width, height
-        matrix = turn(rng.uniform(0, 360))
-        if tilted:
-            matrix = turn(rng.uniform(-3, 3), "x") @ turn(rng.uniform(-3, 3), "y") @ matrix
-        move = (*rng.uniform(-200, 200, 2), 0.0)
-        layers = ebamcheck.slice(mapped(join(*bodies), matrix, move), HEIGHTS, "planecut")
-        alone = [ebamcheck.slice(mapped(body, matrix, move), HEIGHTS, "planecut").areas() for body in bodies]
-        assert layers.ring_counts().tolist() == [1, 1, 1]
-        assert layers.areas() == pytest.approx(np.sum(alone, axis=0), rel=1e-11)
 
 
 @pytest.mark.parametrize(("share", "rings"), [(1 / 1.2, 1), (1.2, 2)])

@@ -17,7 +17,6 @@ from ebamcheck.comparison import compare_all
 from ebamcheck.comparison.consensus import EvidenceRule, agreement, best_pair
 from ebamcheck.comparison.doubt import doubted_layers
 from ebamcheck.layers.stack import from_polygons, from_rings
-from ebamcheck.mesh.part import from_arrays
 from ebamcheck.pipeline.cross_check import evidence_records, evidence_rule, resting
 from ebamcheck.pipeline.findings import doubt_findings
 from ebamcheck.pipeline.gates import agreement_gate
@@ -125,24 +124,6 @@ def test_empty_in_all_is_no_agreement_where_the_part_is():
         ("a,b", "part", "empty", "inconsistent orientation")
     ] * 2
     assert np.isfinite([result.findings[0].x_mm, result.findings[0].y_mm]).all()
-
-
-def test_open_paths_alone_are_no_agreement():
-    part = box()
-    tube = from_arrays(part.vertices, part.faces[4:10])
-    path = from_rings([2.0], [[]], [[[(0, 10), (0, 0), (10, 0), (10, 10)]]])
-    result = judged({"a": path, "b": path}, part=tube)
-    assert result.layers["verdict"].tolist() == ["empty"]
-    assert result.pairs.loc[0, ["open_a", "open_b"]].tolist() == [1, 1]
-    assert result.findings[0].cause in ("open path", "open edge")
-
-
-def test_fewer_than_two_stacks_compare_nothing():
-    for stacks in ({}, {"a": stack(SQUARE, SQUARE, SQUARE)}):
-        result = judged(stacks)
-        assert result.compared_layers == 0
-        assert not result.passed
-        assert len(result.layers) == 3 * len(stacks)
 
 
 def test_blocks_and_threads_change_no_bit(monkeypatch):

@@ -20,12 +20,6 @@ from ebamcheck.slicers.slicing import slice_part
 from ebamcheck.testing.solids import joined, mapped
 
 
-def test_sections_for_causes_run_with_the_solid_on_their_left():
-    segments = MeshFlaws(box()).section(2.0)
-    x0, y0, x1, y1 = segments.T
-    assert 0.5 * np.sum(x0 * y1 - x1 * y0) == pytest.approx(100.0)
-
-
 def test_causes_read_off_the_mesh():
     part = box()
     assert MeshFlaws(part).edge_flaw(0.0, 0.0, 2.0, 1.0) == ""
@@ -86,15 +80,6 @@ def test_walls_and_gaps_by_their_width(width, cause):
     assert cause_at(wall, 0.1, 5.0) == ("thin feature" if cause == "thin" else cause)
     gap = joined(box((-10, 0, 0), (0, 10, 4)), box((width, 0, 0), (width + 10, 10, 4)))
     assert cause_at(gap, 0.1, 5.0) == ("thin gap" if cause == "thin" else cause)
-
-
-def test_a_nearly_level_face_magnifies_rounding():
-    part = box()
-    vertices = part.vertices.copy()
-    vertices[4:, 2] = 2.0 + 1e-6 * (vertices[4:, 0] - 5.0)
-    sloping = from_arrays(vertices, part.faces)
-    assert cause_at(sloping, 5.0, 5.0) == "shallow slope"
-    assert cause_at(part, 10.0, 5.0) == "unknown"
 
 
 def test_unbalanced_pixels_count_only_where_the_mesh_is_open():

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import threading
-
 import numpy as np
 import pytest
 import shapely
 from comparison_stacks import COLUMNS, SQUARE, box, shifted, stack
 
 from ebamcheck.comparison import compare, layer_classes
-from ebamcheck.comparison.pairwise import thin_counts
-from ebamcheck.comparison.sources import blocks_of
-from ebamcheck.errors import InputError, SettingsError
+from ebamcheck.errors import SettingsError
 from ebamcheck.layers.stack import from_polygons, from_rings
 from ebamcheck.mesh.part import from_arrays
 
@@ -84,15 +80,6 @@ def test_a_neck_counts_only_where_it_is_thick(width, agrees):
     assert rows.loc[0, "agrees"] == agrees
 
 
-def test_a_fin_may_break_into_pieces_that_are_a_little_thicker_than_it():
-    block = shapely.box(-10, -5, 0, 5)
-    whole = block.union(shapely.box(0, -0.055, 20, 0.055))
-    broken = block.union(shapely.box(9, -0.065, 14, 0.065))
-    rows = compare(from_polygons([0.0], [[whole]]), from_polygons([0.0], [[broken]]), tolerance_mm=0.06)
-    assert (rows.loc[0, "rings_a"], rows.loc[0, "rings_b"]) == (1, 2)
-    assert rows.loc[0, "agrees"]
-
-
 @pytest.mark.parametrize("seed", range(5))
 def test_a_rim_that_thins_out_may_be_ragged(seed):
     angle, rng = np.linspace(0.0, 2.0 * np.pi, 800), np.random.default_rng(seed)
@@ -126,16 +113,6 @@ def test_a_fin_thicker_than_twice_the_limit_may_not_be_gone(width):
         assert not rows.loc[0, "agrees"]
 
 
-def test_ranges_of_counts_with_thin_features():
-    plate = (
-        shapely.box(0, 0, 10, 10).difference(shapely.box(2, 2, 2.05, 8)).difference(shapely.box(4, 4, 6, 6))
-    )
-    sliver = shapely.box(20, 0, 20.05, 10)
-    outer, holes = thin_counts(shapely.union_all([plate, sliver]), 0.05)
-    assert list(outer) == [1, 2]
-    assert list(holes) == [1, 2]
-
-
 # -- classes -------------------------------------------------------------------------------------------
 
 
@@ -151,33 +128,3 @@ def test_layer_classes_are_those_of_a_plain_search(seed):
             "face-on-plane" if near.all(axis=1).any() else "vertex-on-plane" if near.any() else "generic"
         )
         assert found == expected
-
-
-class Watched:
-    """A stack that keeps note of the blocks that are asked for."""
-
-    def __init__(self, layers):
-        self.layers, self.asked, self.second = layers, [], threading.Event()
-
-    def __len__(self):
-        return len(self.layers)
-
-    def block(self, start, stop):
-        self.asked.append((start, stop))
-        if len(self.asked) == 2:
-            self.second.set()
-        if start == 3:
-            raise InputError("block 3 cannot be read")
-        return self.layers.block(start, stop)
-
-
-def test_the_next_block_is_read_while_one_is_worked_on_and_no_further():
-    watched = Watched(from_rings(np.arange(4.0), [[SQUARE + k] for k in range(4)]))
-    blocks = blocks_of([watched], np.array([0, 2, 3, 4]))
-    first, (block,) = next(blocks)
-    assert watched.second.wait(60.0)
-    assert (first, len(block), watched.asked) == (0, 2, [(0, 2), (2, 3)])
-    first, (block,) = next(blocks)
-    assert (first, block.points.min()) == (2, 2.0)
-    with pytest.raises(InputError, match="block 3"):
-        next(blocks)

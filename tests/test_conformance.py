@@ -14,15 +14,13 @@ import oracle
 import pytest
 from broken_backends import FAULTS
 from fake_distribution import environment
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from ebamcheck.commands.accuracy import conform_command
 from ebamcheck.errors import BackendMissing, SettingsError
 from ebamcheck.plugins import registry
 from ebamcheck.plugins.registry import models
 from ebamcheck.testing import CHECKS, Figure, SlicerSuite, Subject, conform, examine, markdown_table, solids
-from ebamcheck.testing.solids import house_rule, section, winding_rule
+from ebamcheck.testing.solids import house_rule, section
 from ebamcheck.testing.subject import generic_heights
 from ebamcheck_embree import Embree
 from ebamcheck_manifold import ManifoldCut
@@ -143,16 +141,6 @@ def test_solids_of_the_kit_are_closed_and_outward():
         assert part.volume > 0
     for part in solids.attackers(0.05).values():
         assert np.array_equal(part.bounds, solids.frame().bounds)
-
-
-@given(st.integers(-5, 9))
-@settings(derandomize=True, max_examples=15)
-def test_winding_rules(count):
-    assert winding_rule("winding > 0")(count) == (count > 0)
-    assert winding_rule("winding != 0")(count) == (count != 0)
-    assert winding_rule("odd")(count) == (count % 2 != 0)
-    assert winding_rule("1..2")(count) == (1 <= count <= 2)
-    assert winding_rule("whatever fits") is None
 
 
 def test_a_figure_that_is_no_number_is_a_violation():

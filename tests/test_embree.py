@@ -9,9 +9,8 @@ import pytest
 import shapely
 from parts import box, join, moved, sphere, tilted, torus, turn_z
 from scipy.spatial.transform import Rotation
-from section_oracle import depth_beyond, exact_section, simple_sections
+from section_oracle import depth_beyond, exact_section
 
-import ebamcheck
 from ebamcheck.errors import SettingsError
 from ebamcheck.layers.stack import concatenate
 from ebamcheck.mesh.part import from_arrays
@@ -93,16 +92,6 @@ def random_solid(rng):
     if rng.random() < 0.5:
         bodies.append(moved(box(rng.uniform(-5, 0, 3), rng.uniform(1, 6, 3)), turn))
     return join(*bodies)
-
-
-@pytest.mark.parametrize("name", PARTS)
-def test_in_plane_knots_lie_on_the_section(name):
-    part = PARTS[name]
-    layers = cut(part, heights_in(part), grid_mm=0.21)
-    for k, z in enumerate(layers.heights):
-        points = np.concatenate([layers.ring(r) for r in layers.rings_of(k)])
-        off = shapely.distance(shapely.points(points), exact_section(part, z).boundary)
-        assert off.max() < 1e-9
 
 
 def test_vertices_and_faces_on_grid_lines():
@@ -282,21 +271,3 @@ def test_bound_is_kept_by_random_solids(seed, caplog):
     for k, z in enumerate(heights):
         assert depth_beyond(region(layers, k), exact_section(part, z), bound * 1.0005) < 1e-9
     assert "do not pair" not in caplog.text
-
-
-@pytest.mark.corpus
-@pytest.mark.slow
-def test_reference_areas_of_the_corpus(corpus):
-    compared = 0
-    for file, rows in simple_sections(corpus).items():
-        part = ebamcheck.load(corpus / file)
-        layers = cut(part, [float(row["z"]) for row in rows])
-        bound = SLICER.error_bound_mm(part, SLICER.Settings())
-        for k, row in enumerate(rows):
-            allowed = 0.05 * bound * float(row["perimeter"])
-            assert layers.areas()[k] == pytest.approx(float(row["signed_area"]), abs=allowed), (
-                file,
-                row["z"],
-            )
-        compared += len(rows)
-    assert compared > 100

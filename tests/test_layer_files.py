@@ -306,34 +306,6 @@ def test_arrow_reads_the_lists_and_every_bit_comes_back(seed, rows, lists, item)
         assert [f.tolist() for f in found] == [s.tolist() for s in starts]
 
 
-def test_values_without_lists_are_writable_and_the_callers_own():
-    table = pa.table({"z": pa.array([1.0, 2.0])})
-    read = ReadTable(table, "here").plain("z", pa.float64())
-    read[0] = 5.0
-    assert table["z"].to_pylist() == [1.0, 2.0]
-
-
-NUMBERS = pa.list_(pa.float64())
-
-
-@pytest.mark.parametrize(
-    ("column", "told"),
-    [
-        (None, "here: column 'a' is missing; there are b"),
-        (pa.array([["x"]]), "column 'a' is list<item: string>, it should be list<item: double>"),
-        (pa.array([None], NUMBERS), "column 'a' has 1 empty cells"),
-        (pa.array([[1.0, None]], NUMBERS), "column 'a' has 1 empty items"),
-        (pa.array([[1.0]], NUMBERS), "columns 'b' and 'a' differ in length in a layer"),
-    ],
-)
-def test_what_is_wrong_is_named(column, told):
-    columns = {"b": pa.array([[1.0, 2.0]], NUMBERS)} | ({} if column is None else {"a": column})
-    table = ReadTable(pa.table(columns), "here")
-    with pytest.raises(InputError) as caught:
-        table.alike({"b": NUMBERS, "a": NUMBERS})
-    assert told in str(caught.value)
-
-
 def test_labels_come_back_and_another_version_or_label_is_refused(tmp_path):
     value = SimpleNamespace(part="p", direction=(0.0, 0.6, 0.8), settings={"a": [1, "b"]})
     names = ("part", "direction", "settings")

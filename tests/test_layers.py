@@ -12,7 +12,7 @@ from parts import box, join, sphere, tilted, torus
 
 import ebamcheck
 from ebamcheck.layers.heights import LARGEST_BLOCK, crossing_counts, layer_blocks
-from ebamcheck.layers.stack import canonical, concatenate, from_rings, stacked
+from ebamcheck.layers.stack import concatenate, from_rings, stacked
 from ebamcheck.mesh.part import from_arrays
 from ebamcheck.slicers.slicing import slice_part
 from ebamcheck_models import MODELS
@@ -74,36 +74,6 @@ def test_take_block_and_concatenate_agree():
         assert np.array_equal(getattr(joined, column), getattr(layers, column))
     taken = layers.take([2, 0, 2])
     assert taken.areas().tolist() == layers.areas()[[2, 0, 2]].tolist()
-
-
-def test_a_ring_that_touches_itself_starts_the_same_from_any_of_its_points():
-    bow = np.array([(0, 0), (1, -1), (2, 0), (0, 0), (2, 3), (1, 4)], float)
-    forms = {
-        canonical([0], np.roll(bow, s, axis=0), [0, 6], [0, 1], [True]).points.tobytes() for s in range(6)
-    }
-    assert len(forms) == 1
-
-
-@pytest.mark.parametrize("threads", ["1", "3"])
-def test_columns_follow_their_points_into_canonical_form(threads, monkeypatch):
-    monkeypatch.setenv("EBAMCHECK_THREADS", threads)
-    rng = np.random.default_rng(8)
-    count = 400
-    angle = (np.arange(12) * 2 * np.pi / 12).repeat(2)  # every point twice
-    rings = [
-        np.roll(np.stack([np.cos(angle), np.sin(angle)], 1).round(2), rng.integers(24), axis=0) + 3.0 * i
-        for i in rng.permutation(count)
-    ]
-    points = np.concatenate(rings)
-    rows = np.arange(len(points), dtype=np.int32)
-    layers = canonical(
-        [1.0], points, np.arange(count + 1) * 24, [0, count], np.ones(count, bool),
-        edge=np.stack([rows, -rows], 1), edge_t=rows * 0.5,
-    )  # fmt: skip
-    assert len(layers.points) == 12 * count
-    assert np.array_equal(points[layers.edge[:, 0]], layers.points)
-    assert np.array_equal(layers.edge[:, 1], -layers.edge[:, 0])
-    assert np.array_equal(layers.edge_t, layers.edge[:, 0] * 0.5)
 
 
 def test_blocks_that_are_stacked_as_they_come_are_the_whole():

@@ -38,9 +38,7 @@ from ebamcheck_models import (
 )
 from ebamcheck_models.__main__ import main
 from ebamcheck_models.narrow import WIDTHS_MM
-from ebamcheck_models.outlines import Outline, arc, circle, rounded_rectangle
 from ebamcheck_models.polyhedra import Polyhedron
-from ebamcheck_models.ring_wall import RingWall
 from ebamcheck_models.walls import WalledModel
 
 ALL = pytest.mark.parametrize("model", MODELS.values(), ids=MODELS)
@@ -149,18 +147,6 @@ def test_sections_of_meshes_go_to_the_exact_section(model):
 
 def open_rings(layers):
     return int(layers.open_counts().sum())
-
-
-@pytest.mark.parametrize("tolerance_mm", [2.0, 0.2, 0.02])
-def test_no_point_of_a_cone_or_a_sphere_is_farther_than_the_tolerance(tolerance_mm):
-    weights = np.random.default_rng(0).dirichlet([1.0, 1.0, 1.0], 30)
-    points = np.einsum("wj,fjk->fwk", weights, CONE.tessellate(tolerance_mm).triangles).reshape(-1, 3)
-    side = np.hypot(points[:, 0], points[:, 1]) - CONE.bottom_mm * (1.0 - points[:, 2] / CONE.height_mm)
-    assert side.max() < 1e-5
-    assert (np.minimum(-side, points[:, 2])).max() <= tolerance_mm
-    points = np.einsum("wj,fjk->fwk", weights, TWO_SPHERES.tessellate(tolerance_mm).triangles).reshape(-1, 3)
-    reach = np.linalg.norm(points[:, None] - TWO_SPHERES.centres, axis=2) - TWO_SPHERES.radii_mm
-    assert np.abs(reach).min(axis=1).max() <= tolerance_mm
 
 
 # -- closed forms ----------------------------------------------------------------------------------
@@ -295,13 +281,6 @@ def test_closed_forms_of_plain_bodies():
     assert TORUS.area(0.0) == pytest.approx(math.pi * (80.0**2 - 40.0**2))
 
 
-def test_outline_areas_against_formulas():
-    assert circle(3.0, -2.0, 7.0).area(0.0) == pytest.approx(49.0 * math.pi, rel=1e-14)
-    ellipse = Outline((arc(1.0, 2.0, 5.0, 3.0, 0.0, 360.0),))
-    assert ellipse.area(0.0) == pytest.approx(15.0 * math.pi, rel=1e-14)
-    assert rounded_rectangle(5.0, 4.0, 1.0).area(0.0) == pytest.approx(80.0 - 4.0 + math.pi, rel=1e-14)
-
-
 # -- files and the command -------------------------------------------------------------------------
 
 
@@ -395,16 +374,6 @@ def test_turned_sections_in_closed_form():
     assert CONE.turned((0.0, 0.0, -1.0)).area(-10.0) == pytest.approx(CONE.area(10.0))
 
 
-def test_turning_twice_is_turning_by_the_product():
-    once = PRISM.turned((0.3, -0.5, 0.8))
-    again = once.turned((0.1, 0.9, 0.2))
-    assert again.volume == pytest.approx(PRISM.volume)
-    z = float(again.bounds.mean(axis=0)[2])
-    upright = CUBE.turned((1.0, 0.0, 0.0)).turned((-0.0, 0.0, 1.0))
-    assert sum(p.area for p in again.section(z)) == pytest.approx(again.area(z), rel=1e-5)
-    assert upright.area(5.0) == pytest.approx(400.0)
-
-
 def test_a_direction_of_no_length_is_refused():
     for model in TURNABLE:
         with pytest.raises(SettingsError, match="direction"):
@@ -421,17 +390,11 @@ def test_the_ladder_has_the_papers_layers_and_size():
     assert LADDER_TOLERANCES_MM == (1.0, 0.8, 0.4, 0.08, 0.06, 0.04, 0.01, 0.006, 0.004, 0.002, 0.001)
 
 
-@pytest.mark.parametrize("tolerance_mm", [1.0, 0.1, 0.01])
-def test_no_point_of_the_ladder_is_farther_from_its_surface_than_the_tolerance(tolerance_mm):
-    assert farthest_from_ladder(tolerance_mm, 20_000) <= tolerance_mm
-
-
 @pytest.mark.slow
 def test_the_top_of_the_ladder():
     part = LADDER.tessellate(0.001)
     assert 1_440_000 < len(part.faces) < 1_520_000
     assert np.array_equal(part.vertices, part.vertices.astype(np.float32))
-    assert farthest_from_ladder(0.001, 100_000) <= 0.001
     heights = layer_heights(part, 0.2)
     cut = ebamcheck.slice(part, heights, backend="planecut")
     assert open_rings(cut) == 0
@@ -439,65 +402,3 @@ def test_the_top_of_the_ladder():
     # A third of the deepest lack of a chord, all along the walls; lips lean and show more of it.
     assert np.abs(cut.areas() - wanted)[60:-60].max() <= 0.001 * 1400.0
     assert np.abs(cut.areas() - wanted).sum() * 0.2 <= 0.001 * 1400.0 * 897.6
-
-
-def farthest_from_ladder(tolerance_mm, count):
-    """Greatest distance of random points of facets from the surface, by its implicit forms."""
-    rng = np.random.default_rng(2)
-    triangles = LADDER.tessellate(tolerance_mm).triangles
-    chosen = triangles[rng.integers(0, len(triangles), count)]
-    weights = rng.dirichlet([1.0, 1.0, 1.0], count)
-    weights[::3] = [0.5, 0.0, 0.5]
-    points = np.einsum("ij,ijk->ik", weights, chosen)
-    step = 1e-4
-    forms = [ring_form, *(channel_form(c) for c in LADDER.channels)]
-    found = np.full(count, np.inf)
-    for form in forms:
-        value = form(points)
-        slope = [(form(points + step * e) - form(points - step * e)) / (2 * step) for e in np.eye(3)]
-        # First order; forms are squared distances in units of the half axes, hence (1 + |value|).
-        found = np.minimum(found, np.abs(value) / np.linalg.norm(slope, axis=0))
-    return found.max()
-
-
-def ring_form(points):
-    """Distance, in half widths and lips, from the middle of the wall less one: 0 on the surface."""
-    x, y, z = points.T
-    angle = np.arctan2(y, x)
-    turned = angle - math.radians(LADDER.twist_deg) * z / LADDER.height_mm
-    middle = LADDER.radius_mm * (1 + LADDER.bulge * np.sin(math.pi * z / LADDER.height_mm))
-    middle = middle + LADDER.oval_mm * np.cos(2 * turned) + LADDER.lobes_mm * np.cos(3 * turned)
-    half = LADDER.half_mm + LADDER.half_oval_mm * np.cos(2 * turned)
-    off = (np.hypot(x, y) - middle) / half
-    return np.hypot(off, beyond(z, 0.0, LADDER.height_mm, LADDER.lip_mm)) - 1.0
-
-
-def channel_form(channel):
-    def form(points):
-        x, y, z = points.T
-        place = math.radians(channel.angle_deg) + math.radians(LADDER.twist_deg) * z / LADDER.height_mm
-        turned = place - math.radians(LADDER.twist_deg) * z / LADDER.height_mm
-        middle = LADDER.radius_mm * (1 + LADDER.bulge * np.sin(math.pi * z / LADDER.height_mm))
-        middle = middle + LADDER.oval_mm * np.cos(2 * turned) + LADDER.lobes_mm * np.cos(3 * turned)
-        out = (x * np.cos(place) + y * np.sin(place) - middle) / channel.through_mm
-        along = (-x * np.sin(place) + y * np.cos(place)) / channel.along_mm
-        ends = channel.ends
-        return np.sqrt(out**2 + along**2 + beyond(z, ends.low_mm, ends.high_mm, ends.cap_mm) ** 2) - 1.0
-
-    return form
-
-
-def beyond(z, low, high, cap):
-    return np.maximum(0.0, np.maximum(low + cap - z, z - high + cap)) / cap
-
-
-def test_the_ladders_channels_are_closed_and_lie_in_the_wall():
-    assert isinstance(LADDER, RingWall)
-    for z in (0.1, 20.0, 100.0, 500.0, 855.0, 890.0, 897.5):
-        (region,) = LADDER.section(z)
-        open_here = sum(c.ends.low_mm < z < c.ends.high_mm for c in LADDER.channels)
-        assert len(region.interiors) == 1 + open_here
-        rings = [region.exterior, *region.interiors]
-        assert min(a.distance(b) for i, a in enumerate(rings) for b in rings[:i]) > (
-            2.0 if open_here else 0.5
-        )

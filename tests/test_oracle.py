@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from fractions import Fraction
 
@@ -189,27 +188,6 @@ def test_points_lie_within_the_bound_of_the_exact_contours(name, backend):
         cut = oracle.section(part.vertices, part.faces, z)
         for x, y in layers.points[row_layer == k][:40]:
             assert oracle.square_distance(cut, x, y) <= bound**2, (z, x, y)
-
-
-@pytest.mark.in_turn(3)
-@pytest.mark.parametrize("name", SOLIDS)
-def test_the_oracle_keeps_the_laws(name):
-    """The integral of areas is the volume, without any rounding."""
-    part = SOLIDS[name]
-    corners = [tuple(Fraction(c) for c in v) for v in part.vertices.tolist()]
-    six = Fraction(0)
-    for i, j, k in part.faces.tolist():
-        (ax, ay, az), (bx, by, bz), (cx, cy, cz) = corners[i], corners[j], corners[k]
-        six += ax * (by * cz - bz * cy) - ay * (bx * cz - bz * cx) + az * (bx * cy - by * cx)
-    levels = sorted({v[2] for v in corners})
-    if len(levels) > 12:
-        pytest.skip("too many levels for rational arithmetic")
-    total = Fraction(0)
-    for low, high in itertools.pairwise(levels):
-        quarters = [low + (high - low) * Fraction(n, 4) for n in (1, 2, 3)]
-        a, b, c = (oracle.signed_area(oracle.section(part.vertices, part.faces, z)) for z in quarters)
-        total += (high - low) * (2 * a - b + 2 * c) / 3  # Milne's open rule, exact for cubic polynomials
-    assert total == six / 6
 
 
 def test_polygons_of_an_outline_and_the_same_hole():

@@ -15,7 +15,6 @@ import ebamcheck
 from ebamcheck.layers.stack import concatenate
 from ebamcheck.mesh.part import Part, from_arrays
 from ebamcheck_planecut import PlaneCut
-from ebamcheck_planecut.cut import LONE_LAYERS
 
 
 def cut(part: Part, heights, **settings):
@@ -241,39 +240,3 @@ def test_a_part_that_is_turned_again_is_cut_as_if_it_were_new(name):
         same(again.slice(heights), anew.slice(heights))
         back = again.turned(part)
         same(back.slice(planes(part)[::5]), first.slice(planes(part)[::5]))
-
-
-def soup(seed, facets=120, points=40):
-    """Facets between points of a coarse lattice: open, flipped, doubled, in each other, many on one edge, some flat."""
-    draw = np.random.default_rng(seed)
-    return Part(
-        draw.integers(-3, 4, (points, 3)).astype(float),
-        draw.integers(0, points, (facets, 3)).astype(np.int32),
-    )
-
-
-LONE_PARTS = {
-    **ODD_PARTS,
-    "boxes on each other": join(box(), box((0, 0, 2), (2, 2, 3)), box((1, 1, -1), (3, 3, 2))),
-    **{f"soup {seed}": soup(seed) for seed in range(4)},
-}
-DIRECTIONS = [(0, 0, -1), (1, 0, 0), (1, 1, 0), *np.random.default_rng(8).normal(size=(4, 3)).tolist()]
-
-
-@pytest.mark.in_turn(5)
-@pytest.mark.parametrize("name", LONE_PARTS)
-@pytest.mark.parametrize("overlaps", ["unite", "keep"])
-def test_a_few_layers_along_a_new_direction_are_those_of_the_whole_sorted_mesh(name, overlaps):
-    part = LONE_PARTS[name]
-    first = prepared(part, overlaps=overlaps)
-    for direction in DIRECTIONS:
-        turned = part.along(direction)
-        heights = planes(turned)
-        heights = heights[np.unique(np.linspace(0, heights.size - 1, 2 * LONE_LAYERS).astype(int))]
-        whole = prepared(turned, overlaps=overlaps).slice(heights)
-        again = first.turned(turned)
-        for k in range(heights.size):
-            # A new one each time, and one that has its mesh sorted on the way.
-            same(first.turned(turned).slice(heights[k : k + 1]), whole.block(k, k + 1))
-            same(again.slice(heights[k : k + 1]), whole.block(k, k + 1))
-        same(first.turned(turned).slice(heights[:LONE_LAYERS]), whole.block(0, LONE_LAYERS))

@@ -14,7 +14,6 @@ from slicers_here import slicers_here
 
 from ebamcheck.errors import ExitCode, InputError, SettingsError
 from ebamcheck.layers.heights import crossing_counts, layer_heights
-from ebamcheck.mesh import slabs as slab_reader
 from ebamcheck.mesh.files import load
 from ebamcheck.mesh.inspection import inspect
 from ebamcheck.mesh.part import Part
@@ -147,14 +146,6 @@ def test_inspection_of_the_slabs_is_that_of_the_whole(name, tmp_path):
         # The reason of a part inside out holds its volume.
         assert found.pop("why")[:40] == expected.pop("why")[:40]
         assert found == expected
-
-
-def test_a_file_is_read_alike_in_any_blocks(tmp_path, monkeypatch):
-    _, _, division = in_slabs(shuffled(sphere()), tmp_path, 3)
-    expected = [division.slab(k).part.sha256 for k in range(3)]
-    monkeypatch.setattr(slab_reader, "BLOCK", 100)
-    _, _, division = in_slabs(shuffled(sphere()), tmp_path, 3)
-    assert [division.slab(k).part.sha256 for k in range(3)] == expected
 
 
 # -- the whole command -----------------------------------------------------------------------------------

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from itertools import pairwise
 
 import moderngl
@@ -61,32 +59,6 @@ def test_the_automatic_pixel(extent, pixel):
 
 
 # -- facets that the literal mode sends -----------------------------------------------------------------
-
-
-def test_room_for_points_is_not_that_of_the_densest_layer_for_all():
-    """A checkered layer below 254 empty ones, in a process that may take one more gigabyte."""
-    code = """
-import resource
-import numpy as np
-from ebamcheck_stencil.crossings import Flips
-from ebamcheck_stencil.field_of_view import FieldOfView
-from ebamcheck_stencil.marching_squares import contours_of_layers
-
-def contours(side, layers):
-    view = FieldOfView(1.0, (0.0, 0.0), side, side)
-    x, y = np.meshgrid(np.arange(2, side - 2), np.arange(2, side - 2))
-    pixels = (y * view.stride_px + x)[(x + y) % 2 == 0].astype(np.uint32)
-    flips = Flips(np.array([0, pixels.size] + [2 * pixels.size] * (layers - 1)), np.tile(pixels, 2))
-    none = np.empty((0, side * view.stride_px // 64), np.uint64)
-    return contours_of_layers(flips, none, 0, layers, view.stride_px // 64)
-
-contours(8, 2)
-taken = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()
-resource.setrlimit(resource.RLIMIT_AS, (taken + 2**30, taken + 2**30))
-points, _, _, counts = contours(1200, 255)
-assert len(points) == 4 * counts[0] and not counts[1:].any()
-"""
-    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 @pytest.mark.parametrize("low_mm", [0.0, -3e5, 1e13])

@@ -9,26 +9,16 @@ import numpy as np
 import pytest
 import shapely
 from parts import box, join, moved, torus
-from section_oracle import depth_beyond, simple_sections
+from section_oracle import depth_beyond
 from stencil_cuts import BOTH_MODES, PROBE, UNIT, cut, gl, image_at, same, turned
 
-import ebamcheck
-import ebamcheck_stencil.literal as literal_mode
 from ebamcheck.errors import BackendFailed, SettingsError
 from ebamcheck.layers.stack import concatenate
 from ebamcheck.mesh.part import Part, from_arrays
 from ebamcheck_models import LADDER
 from ebamcheck_stencil import Stencil, opengl
-from ebamcheck_stencil.drawn_facets import Bands, DrawnFacets
 from ebamcheck_stencil.field_of_view import SUBPIXELS, FieldOfView, field_of_view
 from ebamcheck_stencil.slicer import CLIP_MOVE_PX, FLOAT32_STEP
-
-
-def all_facets(part, lattice, heights, view):
-    """Every facet of a part, to be drawn for every layer."""
-    whole = Bands(np.array([np.inf]), np.array([-np.inf]), np.array([0, len(part.faces)]))
-    return DrawnFacets(part.faces, whole, Bands(np.empty(0), np.empty(0), np.zeros(1, np.int64)))
-
 
 pytestmark = gl
 
@@ -84,30 +74,6 @@ def test_tiles_give_the_same_bytes(mode):
         {"max_texture_px": 1000, "buffer_mb": 0.02},
     ):
         assert same(cut(TORUS, heights, pixel_mm=0.1, mode=mode, **tiling), whole)
-
-
-@pytest.mark.parametrize("pixel_mm", [0.1, 0.7])
-def test_facets_that_are_not_sent_add_nothing(pixel_mm, monkeypatch):
-    """Neither those below the plane nor those that no ray meets; what is level with the plane is sent."""
-    stairs = join(*[box(upper=(4 - i, 4 - i, 1 + i)) for i in range(3)])
-    fine = turned(torus(9, 3, 150, 90), (3, 1, 2), 1.9)
-    needles = turned(moved(fine, np.diag([1, 1, 40])), (1, -1, 0.1), 0.02)
-    for part in (TORUS, stairs, fine, needles):
-        bottom, top = part.bounds[:, 2]
-        levels = np.unique(np.concatenate([part.vertices[::97, 2], np.linspace(bottom - 1, top + 1, 9)]))
-        few, sent = images(part, levels, pixel_mm)
-        monkeypatch.setattr(literal_mode, "drawn_facets", all_facets)
-        every, _ = images(part, levels, pixel_mm)
-        monkeypatch.undo()
-        assert all(map(np.array_equal, few, every))
-        assert any(image.any() for image in few)
-        assert sent.holding.size + sent.near.size <= len(part.faces)
-
-
-def images(part, levels, pixel_mm):
-    """Bitmaps at the levels, and the facets of which they were drawn."""
-    with Stencil().prepare(part, Stencil.Settings(pixel_mm=pixel_mm, mode="literal")) as prepared:
-        return [image_at(prepared, level) for level in levels], prepared._drawn
 
 
 def test_a_crowded_window_is_drawn_in_parts():
@@ -192,20 +158,6 @@ def test_an_opening_is_reported_and_spoils_no_layer_that_does_not_cut_it():
     clear = (heights < z.min()) | (heights > z.max())
     assert 0 < clear.sum() < heights.size
     assert same(opened.take(np.flatnonzero(clear)), closed.take(np.flatnonzero(clear)))
-
-
-@pytest.mark.corpus
-@pytest.mark.slow
-def test_areas_of_real_meshes(corpus):
-    rows = simple_sections(corpus)
-    assert len(rows) > 20
-    for name, planes in rows.items():
-        part = ebamcheck.load(corpus / name)
-        layers = cut(part, [float(row["z"]) for row in planes])
-        r = Stencil().error_bound_mm(part, Stencil.Settings())
-        for k, row in enumerate(planes):
-            error = abs(layers.areas()[k] - float(row["signed_area"]))
-            assert error <= r * float(row["perimeter"]), (name, row["z"])
 
 
 # -- bitmaps, pixel by pixel: draw-once against the exact section and the literal mode --------------------

@@ -181,17 +181,6 @@ def test_a_modifier_of_one_object_is_built_where_it_stands_by_itself(put):
     assert part.notes == ("left out: object 7: a modifier of another object",)
 
 
-def test_a_mark_of_cura_on_an_assembly_holds_for_all_in_it(put):
-    cura = 'xmlns:cura="http://software.ultimaker.com/xml/cura/3mf"'
-    mark = '<metadatagroup><metadata name="cura:infill_mesh">{}</metadata></metadatagroup><components>'
-    for said, volume in (("True", 72000), ("False", 96000)):
-        marked = components(3, 'objectid="2"').replace("<components>", mark.format(said), 1)
-        objects = box(1, A) + box(2, B, (80, 0, 0)) + marked + components(4, ONE, 'objectid="3"')
-        part = ebamcheck.load(put(package(model(objects, 'objectid="4"', more=cura))))
-        assert part.volume == pytest.approx(volume)
-        assert part.notes == (("left out: object 3: a modifier",) if said == "True" else ())
-
-
 @pytest.mark.parametrize(
     ("name", "text", "data"),
     [

@@ -29,7 +29,6 @@ from ebamcheck.slicers.outside.lattices import (
     LatticeStack,
     Placement,
     Program,
-    lattices_of,
     scale_to,
 )
 from ebamcheck.testing import SlicerSuite
@@ -223,19 +222,6 @@ def test_a_program_runs_without_a_shell_in_its_folder() -> None:
     assert not folder.exists()
 
 
-def test_a_program_that_fails_says_why_in_one_line() -> None:
-    with (
-        scratch_folder() as folder,
-        pytest.raises(BackendFailed, match=r"exit code 3: no such thing$") as failure,
-    ):
-        INTERPRETER.run(
-            ["-c", "import sys; print('much', 'text'); sys.exit((print('no such thing'), 3)[1])"],
-            folder,
-            60.0,
-        )
-    assert "\n" not in str(failure.value)
-
-
 def _ends(pid: int) -> bool:
     """Whether a process is gone, or dead and only not yet collected, within ten seconds: a signal takes a moment."""
     for _ in range(200):
@@ -417,20 +403,6 @@ def test_unreadable_archives_are_refused(tmp_path: Path) -> None:
 
 
 # -- heights and lattices ------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("seed", range(20))
-def test_every_height_lies_in_a_lattice_and_lattices_stay_in_the_part(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    steps = rng.choice([0.1, 0.25, 0.3], 30).repeat(rng.integers(1, 6, 30))
-    heights = 3.0 + np.cumsum(steps + rng.choice([0.0, 1e-3], steps.size) * rng.random(steps.size))
-    low, high = 2.9, float(heights[-1]) + 0.05
-    found = lattices_of(heights, low, high)
-    assert (np.stack([lattice.indices(heights) for lattice in found]) >= 0).any(axis=0).all()
-    for lattice in found:
-        assert low <= lattice.first_mm
-        assert lattice.heights[-1] <= high
-    assert sum(lattice.count == 1 for lattice in found) <= heights.size
 
 
 class Counted:
