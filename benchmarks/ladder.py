@@ -291,17 +291,14 @@ def write_chart(raw: Raw, series: str, path: Path) -> None:
                 marker, filling, _ = MARKS[kind]
                 axes.plot(facets, times.median, marker=marker, fillstyle=filling, color=colour)
                 axes.vlines(facets, times.least, times.greatest, color=colour)
-        words = f"paper: {published.SLICING_S:g} s, {published.FACETS:,} facets, {published.LAYERS} layers; another part, "
-        words += published.DEVICE.partition(",")[0]
+        words = f"paper: {published.SLICING_S:g} s, {published.FACETS:,} facets, {published.LAYERS} layers;\n"
+        words += f"another part, {published.DEVICE.partition(',')[0]}"
         axes.plot(published.FACETS, published.SLICING_S, "*", color="#b3261e", markersize=14, label=words)
-        machine, layer_mm = (
-            raw["machine"],
-            next(p["layer_mm"] for p in raw["parts"].values() if p["series"] == series),
-        )
+        layer_mm = next(p["layer_mm"] for p in raw["parts"].values() if p["series"] == series)
+        machine = raw["machine"]
         where = f"{machine['cpu']}, {machine['cores']} cores; layers of {layer_mm:g} mm."
-        axes.set_title(
-            f"Time of slicing by every method, part {series}\n{where} Hollow: scaled from some layers. Arrow: ended at the limit."
-        )
+        title = f"Time of slicing by every method, part {series}\n{where} Hollow: scaled from some layers. Arrow: ended at the limit."
+        figure.suptitle(title, x=0.01, horizontalalignment="left", fontsize="medium")
         axes.grid(visible=True, which="major", color="#e4e4e4")
         figure.legend(loc="outside right upper", frameon=False)
         figure.savefig(path, format="svg", metadata={"Date": None})

@@ -236,6 +236,9 @@ def test_a_vast_bound_agrees_with_everything_and_proves_nothing():
     assert (found.passed, found.compared_layers, gate.passed) == (False, 0, False)
     assert "vast is no evidence: its bound of 5 mm is over 0.1 mm" in gate.text
     assert found.layers["verdict"].tolist() == ["not-compared"] * 3
+    for bound_mm, layers in ((0.09, 3), (0.11, 0)):
+        found, _ = with_gate({"a": GOOD, "wide": GOOD}, {"wide": bound_mm}, RULE)
+        assert found.compared_layers == layers
 
 
 def test_two_others_are_enough_and_the_gate_names_them():
