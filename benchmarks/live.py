@@ -84,8 +84,6 @@ def on_control(run: Path, part: Path | None, growth: Growth) -> pd.DataFrame:
 def by_islands(table: pd.DataFrame) -> pd.DataFrame:
     """Median and 99th percentile of the times of layers with about as many islands.
 
-    Examples
-    --------
     >>> rows = pd.DataFrame({"islands": [10, 12, 40], "wall_s": [1.0, 3.0, 5.0], "processor_s": [1.0, 1.0, 2.0]})
     >>> by_islands(rows)[["islands", "layers", "median_s"]].values.tolist()
     [['1 to 15', 2, 2.0], ['16 to 50', 1, 5.0], ['all', 3, 3.0]]

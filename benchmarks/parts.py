@@ -114,8 +114,6 @@ def facets_in(path: Path) -> int:
 def sizes_of(text: str) -> tuple[int, ...]:
     """Read sizes as the command line gives them: numbers and ranges, 1 .. 11.
 
-    Examples
-    --------
     >>> sizes_of("1,6,9-11")
     (1, 6, 9, 10, 11)
     """

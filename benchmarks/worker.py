@@ -26,7 +26,6 @@ import numpy as np
 from ebamcheck.errors import BackendFailed
 from ebamcheck.kernels import Floats
 from ebamcheck.layers.heights import layer_heights
-from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.files import load
 from ebamcheck.mesh.part import Part
 from ebamcheck.plugins import registry
@@ -153,20 +152,19 @@ def _sliced(method: Mapping[str, Any], part: Part, heights: Floats, scaled_s: fl
         start = time.perf_counter()
         layers = prepared.slice(chosen)
         slice_s = time.perf_counter() - start
+    columns = (
+        layers.heights,
+        layers.points,
+        layers.ring_starts,
+        layers.layer_starts,
+        layers.closed,
+        layers.edge,
+        layers.edge_t,
+    )
     return {
-        "prepare_s": prepare_s,
-        "slice_s": slice_s,
-        "layers": len(heights),
-        "layers_cut": len(chosen),
-        "points": len(layers.points),
-        "output_bytes": output_bytes(layers),
-    }
-
-
-def output_bytes(layers: Layers) -> int:
-    """Bytes of the columns of a stack."""
-    columns = (layers.heights, layers.points, layers.ring_starts, layers.layer_starts, layers.closed, layers.edge, layers.edge_t)  # fmt: skip
-    return sum(column.nbytes for column in columns if column is not None)
+        "prepare_s": prepare_s, "slice_s": slice_s, "layers": len(heights), "layers_cut": len(chosen),
+        "points": len(layers.points), "output_bytes": sum(column.nbytes for column in columns if column is not None),
+    }  # fmt: skip
 
 
 def some_of(heights: Floats, count: int) -> Floats:
@@ -194,11 +192,8 @@ repaired. What follows (perimeters, G-code) is no slicing in our sense: the proc
 
 _TIME = re.compile(r"^\[(\d{4}-\d\d-\d\d \d\d:\d\d:\d\d\.\d+)\]")
 
-BED_MM = 2000
-HIGHEST_MM = 1200
-"""The tallest printer that PrusaSlicer believes in."""
-
-NOZZLE_MM = 0.4
+BED_MM, HIGHEST_MM = 2000, 1200
+"""The largest bed and the tallest printer that PrusaSlicer believes in."""
 
 
 def manifold_alone(part: Part, heights: Floats) -> dict[str, Any]:
@@ -216,14 +211,9 @@ def manifold_alone(part: Part, heights: Floats) -> dict[str, Any]:
         rings += len(found)
         points += sum(len(ring) for ring in found)
     return {
-        "prepare_s": ready - start,
-        "slice_s": time.perf_counter() - ready,
-        "layers": len(heights),
-        "layers_cut": len(heights),
-        "points": points,
-        "rings": rings,
-        "output_bytes": 16 * points,
-    }
+        "prepare_s": ready - start, "slice_s": time.perf_counter() - ready, "layers": len(heights),
+        "layers_cut": len(heights), "points": points, "rings": rings, "output_bytes": 16 * points,
+    }  # fmt: skip
 
 
 def prusa_stage(stl: Path, layer_mm: float) -> dict[str, Any]:
@@ -234,7 +224,7 @@ def prusa_stage(stl: Path, layer_mm: float) -> dict[str, Any]:
             "--bed-shape", f"0x0,{BED_MM}x0,{BED_MM}x{BED_MM},0x{BED_MM}", "--max-print-height", str(HIGHEST_MM),
             "--dont-arrange", "--center", f"{BED_MM // 2},{BED_MM // 2}",
             "--layer-height", f"{layer_mm:g}", "--first-layer-height", f"{layer_mm:g}",
-            "--nozzle-diameter", f"{max(NOZZLE_MM, 2.0 * layer_mm):g}",
+            "--nozzle-diameter", f"{max(0.4, 2.0 * layer_mm):g}",
             "--slice-closing-radius", "0", "--resolution", "0", "--slicing-mode", "regular",
             "--perimeters", "1", "--fill-density", "0", "--skirts", "0",
             "--top-solid-layers", "0", "--bottom-solid-layers", "0", str(stl),
