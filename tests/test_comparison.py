@@ -16,6 +16,7 @@ from pydantic import ValidationError
 from ebamcheck.comparison import compare_all
 from ebamcheck.comparison.consensus import EvidenceRule, agreement, best_pair
 from ebamcheck.comparison.doubt import doubted_layers
+from ebamcheck.comparison.naming import worst_of
 from ebamcheck.layers.stack import from_polygons, from_rings
 from ebamcheck.pipeline.cross_check import evidence_records, evidence_rule, resting
 from ebamcheck.pipeline.findings import doubt_findings
@@ -55,6 +56,13 @@ def test_one_outlier_is_named_with_place_and_limit():
     assert finding.limit == 0.001
     assert finding.x_mm == pytest.approx(finding.value, abs=1e-3)
     assert finding.cause == "unknown"
+
+
+def test_the_worst_finding_is_that_of_the_largest_excess():
+    good, bad = stack(SQUARE, SQUARE, SQUARE), stack(SQUARE * 0.99, SQUARE[[0, 1, 2]], SQUARE)
+    result = judged({"a": good, "b": good, "c": bad}, exact=("a", "b"))
+    assert {f.layer for f in result.findings} == {0, 1}
+    assert worst_of(result.findings).layer == 1
 
 
 def test_two_that_differ_are_undecided():
