@@ -14,7 +14,6 @@ from dataclasses import dataclass
 import numpy as np
 import shapely
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull
 
 from benchmarks.curve_parts import heights_of, part_of
 from benchmarks.curve_parts_meshes import (
@@ -92,7 +91,7 @@ def ball_of_waves(rng: Rng) -> Form:
         n = max(4, math.ceil(0.5 * math.pi * math.sqrt(float(axes.max()) / (8.0 * chord_mm)) * 1.6))
         return _over_a_cube(surface, n)
 
-    return Form("ball of waves", grid, lambda count, seed: _over_hull(surface, count, seed))
+    return Form("ball of waves", grid, lambda count, seed: irregular_convex(surface, count, seed, star=True))
 
 
 def ellipsoid(rng: Rng) -> Form:
@@ -151,17 +150,6 @@ def _over_a_cube(surface: Callable[[Floats], Floats], n: int) -> Triangles:
     _, first, ids = np.unique(np.round(flat, 9), axis=0, return_index=True, return_inverse=True)
     directions = flat[first] / np.linalg.norm(flat[first], axis=1)[:, None]
     return Triangles(surface(directions), ids.reshape(-1)[np.concatenate(faces)].astype(np.int64))
-
-
-def _over_hull(surface: Callable[[Floats], Floats], count: int, seed: int) -> Triangles:
-    """Triangles of random places of a sphere, mapped."""
-    u = np.random.default_rng(seed).normal(size=(count, 3))
-    u /= np.linalg.norm(u, axis=1)[:, None]
-    faces = ConvexHull(u).simplices.astype(np.int64)
-    a, b, c = (u[faces[:, k]] for k in range(3))
-    inward = (np.cross(b - a, c - a) * (a + b + c)).sum(axis=1) < 0.0
-    faces[inward] = faces[inward][:, ::-1]
-    return Triangles(surface(u), faces)
 
 
 def _over_a_torus(surface: Callable[[Floats, Floats], Floats], n: int, m: int) -> Triangles:

@@ -82,24 +82,16 @@ def decimated(mesh: Triangles, tolerance_mm: float) -> Triangles:
 
 def bored(body: Solid, tool: Solid, place: Floats, rotation: Floats) -> Solid:
     """A body less a tool that is turned and put somewhere (Manifold): along their seam lie slivers."""
-
-    def mesh(chord_mm: float) -> Triangles:
-        cutter = tool(chord_mm)
-        moved = Triangles(cutter.vertices @ rotation.T + place, cutter.faces)
-        return _triangles(_manifold(body(chord_mm)) - _manifold(moved))
-
-    return mesh
+    return lambda chord_mm: _triangles(_manifold(body(chord_mm)) - _placed(tool(chord_mm), place, rotation))
 
 
 def joined(body: Solid, other: Solid, place: Floats, rotation: Floats) -> Solid:
     """Two bodies as one (Manifold)."""
+    return lambda chord_mm: _triangles(_manifold(body(chord_mm)) + _placed(other(chord_mm), place, rotation))
 
-    def mesh(chord_mm: float) -> Triangles:
-        second = other(chord_mm)
-        moved = Triangles(second.vertices @ rotation.T + place, second.faces)
-        return _triangles(_manifold(body(chord_mm)) + _manifold(moved))
 
-    return mesh
+def _placed(mesh: Triangles, place: Floats, rotation: Floats) -> manifold3d.Manifold:
+    return _manifold(Triangles(mesh.vertices @ rotation.T + place, mesh.faces))
 
 
 def _manifold(mesh: Triangles) -> manifold3d.Manifold:
@@ -119,13 +111,16 @@ def _triangles(body: manifold3d.Manifold) -> Triangles:
     )
 
 
-def irregular_convex(surface: Callable[[Floats], Floats], points: int, seed: int) -> Triangles:
-    """Hull of random points of a convex surface, which maps unit vectors (n, 3) to points of it."""
+def irregular_convex(
+    surface: Callable[[Floats], Floats], points: int, seed: int, star: bool = False
+) -> Triangles:
+    """Hull of random points of a convex surface, which maps unit vectors (n, 3) to points of it; of a `star` that of the vectors."""
     directions = np.random.default_rng(seed).normal(size=(points, 3))
-    at = surface(directions / np.linalg.norm(directions, axis=1)[:, None])
-    hull = ConvexHull(at)
-    faces = hull.simplices.astype(np.int64)
-    a, b, c = (at[faces[:, k]] for k in range(3))
+    directions /= np.linalg.norm(directions, axis=1)[:, None]
+    at = surface(directions)
+    corners = directions if star else at
+    faces = ConvexHull(corners).simplices.astype(np.int64)
+    a, b, c = (corners[faces[:, k]] for k in range(3))
     inward = (np.cross(b - a, c - a) * (a + b + c)).sum(axis=1) < 0.0
     faces[inward] = faces[inward][:, ::-1]
     return Triangles(at, faces)
