@@ -56,7 +56,7 @@ def shallow(degrees):
     )
 
 
-@pytest.mark.in_turn(4)
+@pytest.mark.in_turn(9, 4)
 @pytest.mark.parametrize("sample_mm", SAMPLES_MM)
 @pytest.mark.parametrize("method", METHODS)
 def test_the_bound_holds_and_is_not_idle(method, sample_mm):

@@ -143,6 +143,7 @@ PARTS = {
 """Parts for exact slicers and for others, where a law does not take all."""
 
 
+@pytest.mark.in_turn(10)
 @pytest.mark.parametrize("count", COUNTS)
 @pytest.mark.parametrize("name", LAWS)
 def test_law(subject, name, count):
