@@ -80,28 +80,6 @@ def test_a_neck_counts_only_where_it_is_thick(width, agrees):
     assert rows.loc[0, "agrees"] == agrees
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_a_rim_that_thins_out_may_be_ragged(seed):
-    angle, rng = np.linspace(0.0, 2.0 * np.pi, 800), np.random.default_rng(seed)
-    round_ = np.column_stack([np.cos(angle), np.sin(angle)])
-    thick = 0.45 + 0.42 * np.cos(angle)
-
-    def rim(noise_mm):
-        outer = 30.0 + thick + rng.uniform(-noise_mm, noise_mm, angle.size)
-        inner = 30.0 - rng.uniform(-noise_mm, noise_mm, angle.size)
-        return shapely.Polygon(outer[:, None] * round_).buffer(0) - shapely.Polygon(
-            inner[:, None] * round_
-        ).buffer(0)
-
-    rows = compare(
-        from_polygons([0.0], [[rim(0.0)]]),
-        from_polygons([0.0], [list(shapely.get_parts(rim(0.055)))]),
-        tolerance_mm=0.06,
-    )
-    assert rows.loc[0, "rings_b"] + rows.loc[0, "holes_b"] != 2
-    assert rows.loc[0, "agrees"]
-
-
 @pytest.mark.parametrize("width", [0.13, 0.2, 0.23, 0.5])
 def test_a_fin_thicker_than_twice_the_limit_may_not_be_gone(width):
     block = shapely.box(-10, -5, 0, 5)

@@ -13,14 +13,12 @@ import shapely
 import typer
 from command_line import FAST, ebamcheck, write_stl
 from nc_stack import make_plan
-from scipy.integrate import quad_vec
 from slicers_here import runs_cut_here as runs_cut_here
 from typer.testing import CliRunner
 
 from ebamcheck.accuracy.heat_judge import COLUMNS, PLACES, THESIS, LayerCase, rises_k
 from ebamcheck.commands.accuracy import judge_command
 from ebamcheck.commands.command_group import guarded
-from ebamcheck.controls.thesis import LINE_MODE
 from ebamcheck.errors import BackendFailed, BackendMissing, ExitCode, NothingCompared
 from ebamcheck.mesh.part import from_arrays
 from ebamcheck.settings.config import Config
@@ -188,45 +186,6 @@ def test_what_cannot_be_judged_is_refused(plate_run, tmp_path, arguments, code, 
 
 
 # -- the real program --------------------------------------------------------------------------------
-
-
-def by_quadrature(rows, config, time_s, place):
-    """Rise at a place and a time by the Green's function of a half space, integrated along the lines in time."""
-    material, process = config.material, config.process
-    rho_c = 1e-9 * material.density_kg_m3 * material.heat_capacity_j_kgk
-    alpha = 1e-3 * material.conductivity_w_mk / rho_c
-    wide = (0.25 * process.bead_width_mm) ** 2
-    deep = config.layer_height_mm**2 / 6.0
-    total, clock, here = 0.0, 0.0, rows[0, 1:4]
-    for mode, *to, share, parameter in rows:
-        begin, start = clock, np.array(here)
-        way = np.subtract(to, start)
-        clock += parameter if mode != LINE_MODE else np.linalg.norm(way) / (1e3 * parameter)
-        here = to
-        if share > 0 and begin < time_s:
-
-            def kernel(t, begin=begin, start=start, way=way, span=clock - begin):
-                square = np.sum((place[:2] - (start + way * (t - begin) / span)[:2]) ** 2)
-                plane, down = wide + 2 * alpha * (time_s - t), deep + 2 * alpha * (time_s - t)
-                return np.exp(-square / (2 * plane)) / ((2 * np.pi) ** 1.5 * plane * np.sqrt(down))
-
-            value, _ = quad_vec(kernel, begin, min(clock, time_s), epsabs=1e-12, epsrel=1e-9)
-            total += share * process.power_w * material.absorptivity * 2.0 / rho_c * value
-    return total
-
-
-@needs_thesis
-def test_its_heat_is_the_green_function_of_a_half_space():
-    config = Config().changed(process={"ramp_up_mm": 3.0})
-    case = LayerCase.of(two_islands(), 0, SECTION, config)
-    times = np.array([0.0, 0.4, 1.0, 2.5, 3.2])
-    places = np.array([[x, y, case.height_mm] for x, y in [(0, 0), (4, 0), (9, 3), (20, 4), (70, -9)]])
-    found = rises_k(case.path, config, times, np.arange(5), places)
-    wanted = [by_quadrature(case.path.rows, config, t, p) for t, p in zip(times, places, strict=True)]
-    assert wanted[0] == 0.0
-    assert max(wanted) > 500.0
-    # 3DThesis integrates in few steps, and prints six digits of the whole temperature.
-    assert found == pytest.approx(wanted, rel=0.01, abs=0.01)
 
 
 def test_mirrors_stand_around_the_section():

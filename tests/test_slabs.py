@@ -12,7 +12,7 @@ from command_line import ebamcheck, write_stl
 from parts import box, join, moved, sphere, tilted, torus
 from slicers_here import slicers_here
 
-from ebamcheck.errors import ExitCode, InputError, SettingsError
+from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.layers.heights import crossing_counts, layer_heights
 from ebamcheck.mesh.files import load
 from ebamcheck.mesh.inspection import inspect
@@ -241,15 +241,6 @@ def test_what_would_move_or_mend_the_part_is_refused(section, name, tmp_path):
     path = write_stl(box(), tmp_path / "part.stl")
     with pytest.raises(SettingsError, match=name):
         check_in_slabs(path, tmp_path / "a.run", FAST.changed(part=section), 2)
-
-
-@pytest.mark.slow
-def test_more_work_than_is_allowed_is_refused_unless_it_is_wanted(tmp_path):
-    path = write_stl(box(), tmp_path / "part.stl")
-    config = FAST.changed(work={"most_points": 3})
-    with pytest.raises(SettingsError, match="most_points"):
-        check_in_slabs(path, tmp_path / "a.run", config, 2)
-    assert check_in_slabs(path, tmp_path / "a.run", config, 2, yes=True).exit_code is ExitCode.PASS
 
 
 # -- when a part is checked in slabs ---------------------------------------------------------------------

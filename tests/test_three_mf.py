@@ -155,32 +155,6 @@ def test_volumes_that_modify_others_are_left_out_and_said(put, kind):
     assert "left out: object 1" in part.notes[0]
 
 
-def test_a_modifier_of_one_object_is_built_where_it_stands_by_itself(put):
-    """Of object 5 a modifier, but a part of object 6, and an item of its own."""
-    away = 'transform="1 0 0 0 1 0 0 0 1 {} 0 0"'
-    objects = (
-        box(1, A)
-        + box(7, B)
-        + components(5, ONE, 'objectid="7"')
-        + components(6, 'objectid="7"')
-        + components(8, 'objectid="5"')
-    )
-    settings = BAMBU.format("modifier_part")
-    alone = _with("Metadata/model_settings.config", settings, package(model(objects, 'objectid="8"')), put)
-    assert ebamcheck.load(alone).volume == pytest.approx(72000)
-    items = (
-        'objectid="5"',
-        f'objectid="6" {away.format(100)}',
-        f'objectid="7" {away.format(200)}',
-        f'objectid="8" {away.format(300)}',
-    )
-    part = ebamcheck.load(
-        _with("Metadata/model_settings.config", settings, package(model(objects, *items)), put)
-    )
-    assert part.volume == pytest.approx(2 * 72000 + 2 * 24000)
-    assert part.notes == ("left out: object 7: a modifier of another object",)
-
-
 @pytest.mark.parametrize(
     ("name", "text", "data"),
     [
