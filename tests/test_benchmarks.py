@@ -289,7 +289,7 @@ def test_every_wrong_change_can_be_planted() -> None:
         assert all((ROOT / test.partition("::")[0]).exists() for test in one.tests), one
 
 
-# -- targets of the benchmarks: which are met, and by how much one is missed --------------------
+# -- targets --------------------------------------------------------------------------------------------------
 
 
 DONE = {"status": "done", "why": ""}
@@ -333,7 +333,7 @@ def test_a_gpu_has_targets_of_its_own():
     assert "| 10.0 s | **missed**: 2.00 times the target |" in text
 
 
-# -- the table of reference parts: it sees where plan and text part, and a part that is built is told as built --------------------
+# -- the table of reference parts -----------------------------------------------------------------------------
 
 
 CONFIG = Config().changed(slicing={"backends": BACKENDS})

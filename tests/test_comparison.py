@@ -215,7 +215,7 @@ def test_a_doubt_changes_nothing_where(what, bumps, options):
     assert found.findings
 
 
-# -- evidence: two independent methods under a bound that leaves something to agree on --------------------
+# -- evidence -------------------------------------------------------------------------------------------------
 
 
 SMALL_SQUARE = np.array([(0.0, 0.0), (2.0, 0.0), (2.0, 2.0), (0.0, 2.0)])

@@ -256,7 +256,7 @@ def test_a_grid_that_does_not_fit_is_refused():
         SLICER.prepare(box(), SLICER.Settings(grid_mm=1e-6))
 
 
-# -- the error bound of the ray-casting backend: kept by shapes that hide between rays, and not idle --------------------
+# -- the error bound ------------------------------------------------------------------------------------------
 
 
 @pytest.mark.in_turn(3)

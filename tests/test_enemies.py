@@ -259,7 +259,7 @@ def test_settings_of_a_stranger_are_checked_by_it(tmp_path, monkeypatch):
     registry.forget()
 
 
-# -- Slicers of strangers that lie, crash or leave children behind, each in a process of its own ---
+# -- slicers of strangers, each in a process of its own -------------------------------------------------------
 
 
 HEIGHTS = np.linspace(0.1, 1.9, 40)
@@ -354,7 +354,7 @@ def test_a_stranger_slices_in_no_process_but_its_own(slicing_enemies, monkeypatc
     registry.forget()
 
 
-# -- report writers of strangers, and whole runs among enemies --------------------
+# -- report writers of strangers, and whole runs among enemies ------------------------------------------------
 
 
 WRITERS = {

@@ -266,7 +266,7 @@ def test_a_table_of_contours_with_a_wrong_row_is_refused(tmp_path, change, said)
         layer_files.read_layers(file)
 
 
-# -- tables of nested columns: what Arrow itself reads of them are the lists they were made of, every bit comes back, and what is wrong is named --------------------
+# -- tables of nested columns ---------------------------------------------------------------------------------
 
 
 ITEMS = {np.float64: pa.float64(), np.int32: pa.int32(), np.uint8: pa.uint8(), np.bool_: pa.bool_()}

@@ -85,7 +85,7 @@ def test_blocks_that_are_stacked_as_they_come_are_the_whole():
         assert np.array_equal(getattr(found, name), getattr(whole, name)), name
 
 
-# -- heights of layers, and blocks of them that fit in memory --------------------
+# -- heights of layers, and blocks of them that fit in memory -------------------------------------------------
 
 
 PARTS = {"sphere": sphere(10.0, 24), "torus": tilted(torus()), "two": join(box(), box((0, 0, 5), (1, 1, 9)))}

@@ -309,7 +309,7 @@ def test_every_model_keeps_the_protocol_and_its_name(model):
     assert model.tessellate(2.0).name == model.name
 
 
-# -- reference models turned along any direction: sections, volumes and closed forms of turned solids --------------------
+# -- turned along any direction -------------------------------------------------------------------------------
 
 
 TURNABLE = [m for m in MODELS.values() if isinstance(m, TurnableModel) and m.name != "menger-3"]
@@ -380,7 +380,7 @@ def test_a_direction_of_no_length_is_refused():
             model.turned((0.0, 0.0, 0.0))
 
 
-# -- the ladder of the paper: its layers and size, its meshes, its channels, and how far they are from the surface --------------------
+# -- the ladder of the paper ----------------------------------------------------------------------------------
 
 
 def test_the_ladder_has_the_papers_layers_and_size():

@@ -194,7 +194,7 @@ def test_a_clamp_in_the_way_stops_a_run_and_not_a_check(block, tmp_path):
     assert levels(block, process={"keep_out": (through,)}) == {}
 
 
-# -- Preflight: work that asks first, heights and files that are refused, and the commands that it speaks through --
+# -- work that asks first -------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("job", [run_job, check_job])

@@ -249,7 +249,7 @@ def test_without_a_baseline_nothing_is_compared_and_it_says_how_to_make_one(hone
     assert "make the baselines with --update-baseline=all" in summary(honest_report)[-1]
 
 
-# -- Rules of regression without a slicer: what is worse, tolerances, baselines, and what is committed --
+# -- rules without a slicer -----------------------------------------------------------------------------------
 
 
 COLUMN = [0.01, 0.02, 0.03]

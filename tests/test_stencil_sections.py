@@ -160,7 +160,7 @@ def test_an_opening_is_reported_and_spoils_no_layer_that_does_not_cut_it():
     assert same(opened.take(np.flatnonzero(clear)), closed.take(np.flatnonzero(clear)))
 
 
-# -- bitmaps, pixel by pixel: draw-once against the exact section and the literal mode --------------------
+# -- bitmaps, pixel by pixel ----------------------------------------------------------------------------------
 
 
 SIDE_PX = 1024

@@ -260,7 +260,7 @@ def test_a_small_file_of_much_text_is_not_unpacked(put, monkeypatch, times, fits
             ebamcheck.load(put(data))
 
 
-# -- 3MF: numbers, units and models that could be read in two ways, or would be read as something else than they say --------------------
+# -- what could be read in two ways ---------------------------------------------------------------------------
 
 
 SLICES = 'xmlns:s="http://schemas.microsoft.com/3dmanufacturing/slice/2015/07"'
