@@ -41,17 +41,21 @@ def test_repeated_points_go_and_rings_without_area_are_counted():
     assert layers.areas().tolist() == [32.0]
 
 
-def test_measures_of_a_square_with_a_hole_and_an_open_path():
-    layers = from_rings([1.0, 2.0], [[SQUARE, HOLE], []], [[[(9, 9), (10, 9)]], []])
-    assert layers.areas().tolist() == [15.0, 0.0]
-    assert layers.perimeters().tolist() == [20.0, 0.0]
-    assert layers.ring_counts().tolist() == [2, 0]
-    assert layers.hole_counts().tolist() == [1, 0]
+def test_measures_of_a_square_with_two_holes_and_an_open_path():
+    layers = from_rings([1.0, 2.0], [[SQUARE, HOLE, HOLE + 1.5], []], [[[(9, 9), (10, 9)]], []])
+    assert layers.areas().tolist() == [14.0, 0.0]
+    assert layers.perimeters().tolist() == [24.0, 0.0]
+    assert layers.ring_counts().tolist() == [3, 0]
+    assert layers.hole_counts().tolist() == [2, 0]
     assert layers.open_counts().tolist() == [1, 0]
     (polygon,) = layers.polygons(0)
-    assert polygon.area == 15.0
-    assert len(polygon.interiors) == 1
+    assert polygon.area == 14.0
+    assert len(polygon.interiors) == 2
     assert layers.polygons(1) == []
+
+
+def test_a_ring_in_one_that_is_inside_out_bounds_nothing():
+    assert from_rings([0.0], [[SQUARE[::-1] * 2.0 - 2.0, SQUARE]]).polygons(0) == []
 
 
 def test_nesting_finds_the_smallest_enclosing_ring():

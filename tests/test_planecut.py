@@ -139,6 +139,7 @@ def test_empty_stacks_and_heights_outside():
 @pytest.mark.parametrize("direction", [(1, 0, 0), (0, 0, -1), (1, 2, 3), (-0.3, 0.1, -0.9)])
 def test_any_slicing_direction_keeps_the_volume(direction):
     part = torus().along(direction)
+    assert part.volume == pytest.approx(torus().volume, rel=1e-12)
     axis = np.asarray(direction, float) / np.linalg.norm(direction)
     assert_allclose(
         part.bounds[:, 2], [(torus().vertices @ axis).min(), (torus().vertices @ axis).max()], atol=1e-12
