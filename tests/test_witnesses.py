@@ -33,11 +33,9 @@ from ebamcheck.slicers.outside.lattices import (
 )
 from ebamcheck.testing import SlicerSuite
 from ebamcheck.testing.solids import box, house_rule, joined, mapped, sections, simple, sphere
-from ebamcheck_cura import Cura
-from ebamcheck_cura.gcode import read_paths
+from ebamcheck_cura import Cura, read_paths
 from ebamcheck_planecut import PlaneCut
-from ebamcheck_prusa import Prusa
-from ebamcheck_prusa.images import archived_images, contours
+from ebamcheck_prusa import Prusa, archived_images, contours
 from ebamcheck_slic3r import Slic3r, slices
 from ebamcheck_trimesh import TrimeshSections
 
