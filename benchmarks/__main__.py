@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from benchmarks import ladder, parts, plot
+from benchmarks import ladder, parts
 from benchmarks.figures import machine, renderer
 from benchmarks.ladder import QUICK, Effort, measure_ladder
 from benchmarks.parts import SERIES, TOP, BenchmarkPart, benchmark_part, sizes_of
@@ -77,12 +77,9 @@ def write_reports(raw: dict[str, Any], file: Path) -> None:
     if raw["cells"]:
         _write(folder / f"{prefix}readme_table.md", ladder.readme_text(raw))
     for series in ladder.series_of(raw):
-        lines = plot.lines_of(raw, series)
-        if lines and not gpu:
-            layer_mm = next(part["layer_mm"] for part in raw["parts"].values() if part["series"] == series)
-            where = f"{raw['machine']['cpu']}, {raw['machine']['cores']} cores; layers of {layer_mm:g} mm."
-            title = f"Time of slicing by every method, part {series}"
-            _write(folder / f"{series}.svg", plot.time_chart(lines, title, where))
+        if ladder.plotted(raw, series) and not gpu:
+            with replacing(folder / f"{series}.svg") as temporary:
+                ladder.write_chart(raw, series, temporary)
 
 
 def _options(arguments: Sequence[str] | None) -> argparse.Namespace:

@@ -13,9 +13,8 @@ from __future__ import annotations
 import argparse
 import tempfile
 import time
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -46,8 +45,7 @@ BACKENDS = ("planecut", "manifold")
 MODEL_TOLERANCE_MM = 0.02
 
 
-@dataclass(frozen=True)
-class Remedy:
+class Remedy(NamedTuple):
     """Settings with which a part that is refused at the default ones can be built, and why it needs them."""
 
     changes: dict[str, dict[str, Any]]
@@ -65,12 +63,10 @@ ALLOWANCE = {"process": {"machining_allowance_mm": 3.0}}
 
 REMEDIES = {
     "bracket": Remedy(
-        ALLOWANCE,
-        "the brace between its legs is 0.8 mm thick, and no bead is narrower than 3.2 mm",
+        ALLOWANCE, "the brace between its legs is 0.8 mm thick, and no bead is narrower than 3.2 mm"
     ),
     "thin-walls": Remedy(
-        ALLOWANCE,
-        "its rungs are walls of 0.01 to 1 mm, and no bead is narrower than 3.2 mm",
+        ALLOWANCE, "its rungs are walls of 0.01 to 1 mm, and no bead is narrower than 3.2 mm"
     ),
     "impeller": Remedy(ALLOWANCE, "the tips of its blades are thinner than 3.2 mm, and no bead is narrower"),
     "two-spheres": Remedy(
@@ -80,25 +76,15 @@ REMEDIES = {
 }
 
 PAIRS = {
-    "contour_mm": ("contour_mm",),
-    "hatch_mm": ("hatch_mm", "turn_mm", "wall_mm", "gap_mm"),
-    "travel_mm": ("travel_mm",),
-    "deposit_s": ("deposit_s",),
-    "travel_s": ("travel_s",),
-    "pause_s": ("wait_s",),
-    "wire_mm": ("wire_mm",),
-}
+    "contour_mm": ("contour_mm",), "hatch_mm": ("hatch_mm", "turn_mm", "wall_mm", "gap_mm"), "travel_mm": ("travel_mm",),
+    "deposit_s": ("deposit_s",), "travel_s": ("travel_s",), "pause_s": ("wait_s",), "wire_mm": ("wire_mm",),
+}  # fmt: skip
 """Columns of the text's sums, and those of the plan's that make them up."""
 
 MASS_SHARE = 0.02
 """Metal over the part, less 1, at most."""
 
-KG = 1e-9
-"""Cubic metres in a cubic millimetre."""
-
 DEFAULT_OUTPUT = Path("reports/metal")
-
-TABLE = "acceptance.csv"
 
 TEXT = """# Reference parts from mesh to program
 
@@ -127,7 +113,7 @@ def measured(result: RunResult, model: Model, config: Config) -> dict[str, Any]:
     plan, text = pd.read_csv(folder / "process.csv"), pd.read_csv(folder / "program.csv")
     metal = pd.read_csv(folder / "deposit.csv")
     nc = read_program(next((folder / "program").glob("*.MPF")), config)
-    solid_kg = model.volume * config.material.density_kg_m3 * KG
+    solid_kg = model.volume * config.material.density_kg_m3 * 1e-9
     heat = [gate for gate in result.gates if gate.name == "heat"]
     by_text = [check["value"] for check in checks if check["name"] == "interpass temperature"]
     sound = all(check.passed for check in verify(folder))
@@ -170,20 +156,19 @@ def row(name: str, model: Model, config: Config, settings: str) -> dict[str, Any
 
 def rendered(table: pd.DataFrame) -> str:
     """Write the report."""
+    columns = ["part", "settings", "layers", "plan and program", "metal over sections", "over solid"]
+    columns += ["entry, K: plan, text", "build, h", "verdict", "verify"]
     rows = [
-        {
-            "part": part["part"],
-            "settings": part["settings"],
-            "layers": f"{part['layers']:.0f}",
-            "plan and program": f"{part['apart']:.0e}; {part['starts_plan']:.0f}, {part['starts_text']:.0f} starts",
-            "metal over sections": f"{part['over_sections']:.3f}, "
-            + ("met" if abs(part["over_sections"] - 1.0) <= MASS_SHARE else "missed"),
-            "over solid": f"{part['over_solid']:.3f}",
-            "entry, K: plan, text": f"{part['plan_k']:.0f}, {part['text_k']:.0f} (limit {part['limit_k']:.0f})",
-            "build, h": f"{part['hours']:.1f}",
-            "verdict": part["verdict"],
-            "verify": part["verify"],
-        }
+        [
+            *(part["part"], part["settings"], f"{part['layers']:.0f}"),
+            f"{part['apart']:.0e}; {part['starts_plan']:.0f}, {part['starts_text']:.0f} starts",
+            f"{part['over_sections']:.3f}, {'met' if abs(part['over_sections'] - 1.0) <= MASS_SHARE else 'missed'}",
+            *(
+                f"{part['over_solid']:.3f}",
+                f"{part['plan_k']:.0f}, {part['text_k']:.0f} (limit {part['limit_k']:.0f})",
+            ),
+            *(f"{part['hours']:.1f}", part["verdict"], part["verify"]),
+        ]
         for part in table.to_dict("records")
     ]
     shut = table[table["verdict"] != "VALIDATED"]
@@ -195,7 +180,7 @@ def rendered(table: pd.DataFrame) -> str:
         backends=" and ".join(BACKENDS),
         cpu=machine()["cpu"],
         share=100.0 * MASS_SHARE,
-        table=markdown(list(rows[0]), [list(row.values()) for row in rows]),
+        table=markdown(columns, rows),
         causes="\n".join(["What shut the gates:", "", *causes]) + "\n" if causes else "",
         remedies="\n".join(["The remedies, and why:", "", *remedies]) + "\n" if remedies else "",
     )
@@ -210,7 +195,7 @@ def main() -> None:
     options = parser.parse_args()
     config = Config().changed(slicing={"backends": BACKENDS})
     options.output.mkdir(parents=True, exist_ok=True)
-    file = options.output / TABLE
+    file = options.output / "acceptance.csv"
     known = [] if options.again or not file.is_file() else pd.read_csv(file).to_dict("records")
     rows: dict[tuple[str, str], dict[str, Any]] = {
         (str(found["part"]), str(found["settings"])): {str(k): v for k, v in found.items()} for found in known

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import shapely
@@ -86,13 +87,8 @@ def parts(quick: bool = False) -> list[CurvePart]:
     found = [*_regular(), *_irregular(), *_cad(), *_flat(), *_decimated(), *_noise()]
     if not quick:
         return found
-    kinds: dict[str, int] = {}
-    few = []
-    for part in found:
-        kinds[part.kind] = kinds.get(part.kind, 0) + 1
-        if kinds[part.kind] == 1 and part.kind != "regular 0.01":
-            few.append(part)
-    return few
+    first = {part.kind: part for part in reversed(found)}
+    return [part for part in found if first[part.kind] is part and part.kind != "regular 0.01"]
 
 
 def part_of(mesh: Triangles, name: str) -> Part:
@@ -106,38 +102,35 @@ def part_of(mesh: Triangles, name: str) -> Part:
 def _regular() -> Iterator[CurvePart]:
     for mm in REGULAR_MM:
         for model in (LADDER, TORUS, IMPELLER, BLADE) if mm >= 0.1 else (LADDER, TORUS):
-            yield CurvePart(
-                f"{model.name} {mm:g}", f"regular {mm:g}", _tessellated(model, mm), _formula(model)
-            )
+            mesh = partial(model.tessellate, mm)
+            yield CurvePart(f"{model.name} {mm:g}", f"regular {mm:g}", mesh, partial(_formula, model))
 
 
-def _tessellated(model: Model, mm: float) -> Callable[[], Part]:
-    return lambda: model.tessellate(mm)
-
-
-def _formula(model: Model) -> Callable[[Floats], Layers]:
-    return lambda heights: from_polygons(heights, [model.section(z, TRUTH_MM) for z in heights.tolist()])
+def _formula(model: Model, heights: Floats) -> Layers:
+    return from_polygons(heights, [model.section(z, TRUTH_MM) for z in heights.tolist()])
 
 
 def _irregular() -> Iterator[CurvePart]:
     for seed, kept in ((0, "float64"), (11, "float32"), (12, "ascii4")):
-        rotation = turn(seed)
-        yield CurvePart(
-            f"ellipsoid of random points, {_where(seed)}, {kept}",
-            "irregular",
-            lambda rotation=rotation, kept=kept: part_of(  # type: ignore[misc]
-                as_file(_moved(irregular_convex(_ellipsoid, 3000, 5), rotation), kept), "ellipsoid"
-            ),
-            lambda heights, rotation=rotation: _ellipsoid_sections(heights, rotation),  # type: ignore[misc]
-        )
-        yield CurvePart(
-            f"torus of random points, {_where(seed)}, {kept}",
-            "irregular",
-            lambda seed=seed, kept=kept: part_of(  # type: ignore[misc]
-                as_file(turned(irregular_torus(_torus, 4000, 6), seed), kept), "torus"
-            ),
-            _cut(TORUS_RING, seed),
-        )
+        for name, mesh, truth in (
+            ("ellipsoid", _scattered_ellipsoid, partial(_ellipsoid_sections, rotation=turn(seed))),
+            ("torus", _scattered_torus, partial(_cut, TORUS_RING, seed)),
+        ):
+            label = f"{name} of random points, {_where(seed)}, {kept}"
+            yield CurvePart(label, "irregular", partial(_made, mesh, seed, kept, name), truth)
+
+
+def _scattered_ellipsoid() -> Triangles:
+    return irregular_convex(_ellipsoid, 3000, 5)
+
+
+def _scattered_torus() -> Triangles:
+    return irregular_torus(_torus, 4000, 6)
+
+
+def _made(mesh: Callable[[], Triangles], seed: int, kept: str, name: str) -> Part:
+    """A mesh that is turned and went through a file."""
+    return part_of(as_file(turned(mesh(), seed), kept), name)
 
 
 def _cad() -> Iterator[CurvePart]:
@@ -155,68 +148,62 @@ def _flat() -> Iterator[CurvePart]:
 
 
 def _decimated() -> Iterator[CurvePart]:
-    fine_mm = 0.01
     for name, tolerance_mm in (("boss", 0.05), ("bearing ring", 0.1), ("box r 2.5", 0.05), ("torus", 0.2)):
         for seed in (0, 11):
             solid = CAD.get(name, TORUS_RING)
 
-            def mesh(solid: Solid = solid, tolerance_mm: float = tolerance_mm, seed: int = seed) -> Part:
-                return part_of(turned(decimated(solid(fine_mm), tolerance_mm), seed), "decimated")
+            def coarse(solid: Solid = solid, tolerance_mm: float = tolerance_mm) -> Triangles:
+                return decimated(solid(0.01), tolerance_mm)
 
             label = f"{name} decimated by {tolerance_mm:g} mm, {_where(seed)}"
-            yield CurvePart(label, "decimated", mesh, _cut(solid, seed))
+            mesh = partial(_made, coarse, seed, "float64", "decimated")
+            yield CurvePart(label, "decimated", mesh, partial(_cut, solid, seed))
     for name in ("box r 5", "draft box r 5"):
         for seed in (0, 12):
             solid = CAD[name]
 
-            def slivers(solid: Solid = solid, seed: int = seed) -> Part:
-                return part_of(turned(split_edges(solid(CAD_MM), 120, 1e-5, 3), seed), "slivers")
+            def split(solid: Solid = solid) -> Triangles:
+                return split_edges(solid(CAD_MM), 120, 1e-5, 3)
 
-            yield CurvePart(f"{name} of slivers, {_where(seed)}", "decimated", slivers, _cut(solid, seed))
+            mesh = partial(_made, split, seed, "float64", "slivers")
+            yield CurvePart(
+                f"{name} of slivers, {_where(seed)}", "decimated", mesh, partial(_cut, solid, seed)
+            )
 
 
 def _noise() -> Iterator[CurvePart]:
+    def ladder() -> Triangles:
+        part = LADDER.tessellate(0.3)
+        return Triangles(part.vertices, part.faces.astype(np.int64))
+
     for noise_mm in NOISES_MM:
+        for name, seed, mesh, truth in (
+            ("ladder 0.3", 7, ladder, partial(_formula, LADDER)),
+            ("ellipsoid", 8, _scattered_ellipsoid, partial(_ellipsoid_sections, rotation=np.eye(3))),
+            ("torus", 9, _scattered_torus, partial(_cut, TORUS_RING, 0)),
+        ):
 
-        def ladder(noise_mm: float = noise_mm) -> Part:
-            part = LADDER.tessellate(0.3)
-            mesh = Triangles(part.vertices, part.faces.astype(np.int64))
-            return part_of(noisy(mesh, noise_mm, 7), "ladder")
+            def shaken(
+                mesh: Callable[[], Triangles] = mesh, noise_mm: float = noise_mm, seed: int = seed
+            ) -> Triangles:
+                return noisy(mesh(), noise_mm, seed)
 
-        def ellipsoid(noise_mm: float = noise_mm) -> Part:
-            return part_of(noisy(irregular_convex(_ellipsoid, 3000, 5), noise_mm, 8), "ellipsoid")
-
-        def torus(noise_mm: float = noise_mm) -> Part:
-            return part_of(noisy(irregular_torus(_torus, 4000, 6), noise_mm, 9), "torus")
-
-        label = f"{noise_mm:g} mm of noise"
-        yield CurvePart(f"ladder 0.3, {label}", "noise", ladder, _formula(LADDER))
-        yield CurvePart(
-            f"ellipsoid, {label}", "noise", ellipsoid, lambda heights: _ellipsoid_sections(heights, np.eye(3))
-        )
-        yield CurvePart(f"torus, {label}", "noise", torus, _cut(TORUS_RING, 0))
+            made = partial(_made, shaken, 0, "float64", name.split()[0])
+            yield CurvePart(f"{name}, {noise_mm:g} mm of noise", "noise", made, truth)
 
 
 def _case(name: str, kind: str, solid: Solid, seed: int, kept: str) -> CurvePart:
-    return CurvePart(
-        name,
-        kind,
-        lambda: part_of(as_file(turned(solid(CAD_MM), seed), kept), name),
-        _cut(solid, seed),
-    )
+    mesh = partial(_made, partial(solid, CAD_MM), seed, kept, name)
+    return CurvePart(name, kind, mesh, partial(_cut, solid, seed))
 
 
-def _cut(solid: Solid, seed: int) -> Callable[[Floats], Layers]:
+def _cut(solid: Solid, seed: int, heights: Floats) -> Layers:
     """Sections of a solid's fine mesh."""
-    return lambda heights: slice_part(part_of(turned(solid(TRUTH_MM), seed), "truth"), heights)
+    return slice_part(part_of(turned(solid(TRUTH_MM), seed), "truth"), heights)
 
 
 def _where(seed: int) -> str:
     return f"direction {seed}" if seed else "upright"
-
-
-def _moved(mesh: Triangles, rotation: Floats) -> Triangles:
-    return Triangles(mesh.vertices @ rotation.T, mesh.faces)
 
 
 # -- closed forms ------------------------------------------------------------------------------------------

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import heapq
 from collections.abc import Callable
 
 import manifold3d
@@ -81,24 +82,16 @@ def decimated(mesh: Triangles, tolerance_mm: float) -> Triangles:
 
 def bored(body: Solid, tool: Solid, place: Floats, rotation: Floats) -> Solid:
     """A body less a tool that is turned and put somewhere (Manifold): along their seam lie slivers."""
-
-    def mesh(chord_mm: float) -> Triangles:
-        cutter = tool(chord_mm)
-        moved = Triangles(cutter.vertices @ rotation.T + place, cutter.faces)
-        return _triangles(_manifold(body(chord_mm)) - _manifold(moved))
-
-    return mesh
+    return lambda chord_mm: _triangles(_manifold(body(chord_mm)) - _placed(tool(chord_mm), place, rotation))
 
 
 def joined(body: Solid, other: Solid, place: Floats, rotation: Floats) -> Solid:
     """Two bodies as one (Manifold)."""
+    return lambda chord_mm: _triangles(_manifold(body(chord_mm)) + _placed(other(chord_mm), place, rotation))
 
-    def mesh(chord_mm: float) -> Triangles:
-        second = other(chord_mm)
-        moved = Triangles(second.vertices @ rotation.T + place, second.faces)
-        return _triangles(_manifold(body(chord_mm)) + _manifold(moved))
 
-    return mesh
+def _placed(mesh: Triangles, place: Floats, rotation: Floats) -> manifold3d.Manifold:
+    return _manifold(Triangles(mesh.vertices @ rotation.T + place, mesh.faces))
 
 
 def _manifold(mesh: Triangles) -> manifold3d.Manifold:
@@ -118,13 +111,16 @@ def _triangles(body: manifold3d.Manifold) -> Triangles:
     )
 
 
-def irregular_convex(surface: Callable[[Floats], Floats], points: int, seed: int) -> Triangles:
-    """Hull of random points of a convex surface, which maps unit vectors (n, 3) to points of it."""
+def irregular_convex(
+    surface: Callable[[Floats], Floats], points: int, seed: int, star: bool = False
+) -> Triangles:
+    """Hull of random points of a convex surface, which maps unit vectors (n, 3) to points of it; of a `star` that of the vectors."""
     directions = np.random.default_rng(seed).normal(size=(points, 3))
-    at = surface(directions / np.linalg.norm(directions, axis=1)[:, None])
-    hull = ConvexHull(at)
-    faces = hull.simplices.astype(np.int64)
-    a, b, c = (at[faces[:, k]] for k in range(3))
+    directions /= np.linalg.norm(directions, axis=1)[:, None]
+    at = surface(directions)
+    corners = directions if star else at
+    faces = ConvexHull(corners).simplices.astype(np.int64)
+    a, b, c = (corners[faces[:, k]] for k in range(3))
     inward = (np.cross(b - a, c - a) * (a + b + c)).sum(axis=1) < 0.0
     faces[inward] = faces[inward][:, ::-1]
     return Triangles(at, faces)
@@ -142,3 +138,89 @@ def irregular_torus(surface: Callable[[Floats, Floats], Floats], points: int, se
     triangles[clockwise] = triangles[clockwise][:, ::-1]
     faces: Ints = (triangles % points).astype(np.int64)
     return Triangles(surface(uv[:, 0], uv[:, 1]).T, faces)
+
+
+# -- decimation by quadric error metrics, as mesh programs do it: vertices leave the surface (Garland, Heckbert 1997) --
+
+
+STIFFNESS = 1e-3
+"""Weight of an edge's middle, over the trace of its quadric: where planes do not tell a place it stays on the edge."""
+
+COST_DECIMALS, PLACE_DECIMALS = 12, 9
+"""Of costs, mm2, and places, mm: edges of a symmetrical part cost the same, and rounding, which differs from one processor to
+another, is not to choose among them."""
+
+LEAST_COSINE = 0.2
+"""Of the angle by which a facet may turn when an edge is collapsed."""
+
+
+def quadric_decimated(mesh: Triangles, share: float) -> Triangles:
+    """Collapse edges, the cheapest first, until so large a share of the facets is left or no edge may go."""
+    points = mesh.vertices.copy()
+    faces = [list(f) for f in mesh.faces.tolist()]
+    around: list[set[int]] = [set() for _ in points]
+    quadrics = np.zeros((len(points), 4, 4))
+    for f, corners in enumerate(faces):
+        n = np.cross(points[corners[1]] - points[corners[0]], points[corners[2]] - points[corners[0]])
+        size = float(np.linalg.norm(n))
+        if size > 0.0:
+            plane = np.append(n / size, -float(n @ points[corners[0]]) / size)
+            quadrics[corners] += 0.5 * size * np.outer(plane, plane)
+        for v in corners:
+            around[v].add(f)
+    version = [0] * len(points)
+
+    def ring(v: int) -> set[int]:
+        return {w for f in around[v] for w in faces[f]} - {v}
+
+    def entry(a: int, b: int) -> tuple[float, int, int, int, int, tuple[float, ...]]:
+        place, cost = _best(quadrics[a] + quadrics[b], points[a], points[b])
+        return cost, a, b, version[a], version[b], tuple(place.tolist())
+
+    heap = [entry(a, b) for a in range(len(points)) for b in ring(a) if a < b]
+    heapq.heapify(heap)
+    alive = len(faces)
+    while heap and alive > share * len(faces):
+        _, a, b, seen_a, seen_b, to = heapq.heappop(heap)
+        if (version[a], version[b]) != (seen_a, seen_b) or len(ring(a) & ring(b)) != 2:
+            continue
+        place = np.array(to)
+        gone = around[a] & around[b]
+        if any(_turns(points, faces[f], v, place) for v in (a, b) for f in around[v] - gone):
+            continue
+        points[a] = place
+        quadrics[a] += quadrics[b]
+        for f in gone:
+            for v in faces[f]:
+                around[v].discard(f)
+        for f in around[b]:
+            faces[f] = [a if v == b else v for v in faces[f]]
+            around[a].add(f)
+        around[b] = set()
+        alive -= len(gone)
+        version[a] += 1
+        version[b] += 1
+        for w in ring(a):
+            heapq.heappush(heap, entry(min(a, w), max(a, w)))
+    kept = sorted(set().union(*around))
+    used, ids = np.unique(np.array([faces[f] for f in kept]), return_inverse=True)
+    return Triangles(points[used], ids.reshape(-1, 3).astype(np.int64))
+
+
+def _best(quadric: Floats, a: Floats, b: Floats) -> tuple[Floats, float]:
+    """Place with the least error near to an edge, and its cost."""
+    A, middle = quadric[:3, :3], 0.5 * (a + b)
+    weight = STIFFNESS * max(float(np.trace(A)), 1e-12)
+    place = np.linalg.solve(A + weight * np.eye(3), weight * middle - quadric[:3, 3])
+    if np.linalg.norm(place - middle) > np.linalg.norm(b - a):
+        place = middle
+    at = np.append(place, 1.0)
+    return np.round(place, PLACE_DECIMALS), round(float(at @ quadric @ at), COST_DECIMALS)
+
+
+def _turns(points: Floats, corners: list[int], moved: int, place: Floats) -> bool:
+    """Whether a facet turns over, or nearly, when one of its corners moves."""
+    old = [points[v] for v in corners]
+    new = [place if v == moved else points[v] for v in corners]
+    n, m = np.cross(old[1] - old[0], old[2] - old[0]), np.cross(new[1] - new[0], new[2] - new[0])
+    return bool(n @ m <= LEAST_COSINE * float(np.linalg.norm(n) * np.linalg.norm(m)))

@@ -51,12 +51,8 @@ def steps(radius_mm: float, turn_rad: float, chord_mm: float) -> int:
 def rounded_polytope(corners: ArrayLike, loops: Sequence[Sequence[int]], radius_mm: float) -> Solid:
     """Convex polytope, three faces a corner, whose edges and corners are rounded by a ball that rolls inside of it.
 
-    Parameters
-    ----------
-    corners
-        (n, 3) corners of the polytope of the ball's centres, mm: its faces lie `radius_mm` inside.
-    loops
-        Corners of each face, counter-clockwise seen from outside.
+    `corners` (n, 3) are those of the polytope of the ball's centres, mm: its faces lie `radius_mm` inside; `loops` the corners of each
+    face, counter-clockwise seen from outside.
     """
     core = np.asarray(corners, dtype=np.float64)
     normals = np.array([_normal(core[list(loop)]) for loop in loops])
@@ -84,19 +80,22 @@ def _normal(points: Floats) -> Floats:
     return np.asarray(n / np.linalg.norm(n))
 
 
-def _edges(loops: Sequence[Sequence[int]]) -> dict[tuple[int, int], tuple[int, int]]:
-    """Both faces of each edge, by its corners in the direction of the first face."""
-    face_of = {
+def _faces(loops: Sequence[Sequence[int]]) -> dict[tuple[int, int], int]:
+    """Face of each edge in the face's own direction."""
+    return {
         (a, b): f for f, loop in enumerate(loops) for a, b in zip(loop, (*loop[1:], loop[0]), strict=True)
     }
+
+
+def _edges(loops: Sequence[Sequence[int]]) -> dict[tuple[int, int], tuple[int, int]]:
+    """Both faces of each edge, by its corners in the direction of the first face."""
+    face_of = _faces(loops)
     return {(a, b): (f, face_of[b, a]) for (a, b), f in face_of.items() if a < b}
 
 
 def _around(loops: Sequence[Sequence[int]], count: int) -> list[list[int]]:
     """The three faces at each corner, counter-clockwise seen from outside."""
-    face_of = {
-        (a, b): f for f, loop in enumerate(loops) for a, b in zip(loop, (*loop[1:], loop[0]), strict=True)
-    }
+    face_of = _faces(loops)
     result = []
     for corner in range(count):
         first = next(f for (a, _), f in face_of.items() if a == corner)
@@ -184,9 +183,8 @@ def wedge(length_mm: float, width_mm: float, height_mm: float, radius_mm: float)
         (-0.3 * a, -b, height_mm),
         (-0.3 * a, b, height_mm),
     ]
-    return rounded_polytope(
-        corners, [(3, 2, 1, 0), (0, 1, 4), (2, 3, 5), (1, 2, 5, 4), (3, 0, 4, 5)], radius_mm
-    )
+    loops = [(3, 2, 1, 0), (0, 1, 4), (2, 3, 5), (1, 2, 5, 4), (3, 0, 4, 5)]
+    return rounded_polytope(corners, loops, radius_mm)
 
 
 # -- extrusions --------------------------------------------------------------------------------------------

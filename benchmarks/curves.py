@@ -2,7 +2,7 @@
 
 Parts of every kind (:mod:`benchmarks.curve_parts`) against what they stand for: the normal distance of all rings, of the
 contour, of each method, and of what other programs make of the same contour within the same tolerance
-(:mod:`benchmarks.curve_peers`). Medians over the parts of a kind, and the worst by name.
+(from the contour alone, parted at corners: they know no mesh, and so keep the error of its chords). Medians over the parts of a kind, and the worst by name.
 """
 
 from __future__ import annotations
@@ -11,24 +11,141 @@ import argparse
 import json
 import math
 import time
-from collections.abc import Sequence
+import warnings
+from collections.abc import Callable, Sequence
+from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
+from scipy.interpolate import splev, splprep
 
 from benchmarks.curve_parts import CurvePart, heights_of, parts
-from benchmarks.curve_peers import arc_welded, splines
-from benchmarks.figures import machine
+from benchmarks.curve_parts_solids import Floats
+from benchmarks.figures import machine, markdown
 from ebamcheck.curves import METHODS, Curves, contour_error, fit
 from ebamcheck.curves.crossings import crossings
 from ebamcheck.curves.gate import polylines
 from ebamcheck.json_values import write_json
-from ebamcheck.layers.stack import Layers
+from ebamcheck.layers.stack import Layers, from_rings
 from ebamcheck.settings.stages import CurveSettings
 from ebamcheck.slicers.slicing import slice_part
 from ebamcheck_models import LADDER
+
+CORNER_RAD = math.radians(40.0)
+"""Turn at which a contour is parted, as by `curves.corner_angle_deg`."""
+
+SAMPLES_A_BLOCK = 16
+LEAST_ARC_POINTS = 4
+HALVINGS = 12
+
+
+class Yardstick(NamedTuple):
+    """What a peer made of a stack."""
+
+    sampled: Layers
+    """Polylines along its curves."""
+    blocks: int
+
+
+def arc_welded(layers: Layers, tolerance_mm: float) -> Yardstick:
+    """Greedy arcs as ArcWelder makes them: through the first, middle and last point of the longest run that keeps the
+    tolerance, at its points and at the middles between them; else lines."""
+    return _of_runs(layers, lambda run: _welded(run, tolerance_mm))
+
+
+def splines(layers: Layers, tolerance_mm: float) -> Yardstick:
+    """Smoothing splines of :func:`scipy.interpolate.splprep` with the fewest knots whose points keep the tolerance."""
+    return _of_runs(layers, lambda run: _spline(run, tolerance_mm))
+
+
+def _of_runs(layers: Layers, fit_run: Callable[[Floats], tuple[Floats, int]]) -> Yardstick:
+    stack, blocks = [], 0
+    for k in range(len(layers)):
+        found = []
+        for r in layers.rings_of(k):
+            parts = [fit_run(run) for run in _runs(layers.ring(r))]
+            blocks += sum(count for _, count in parts)
+            found.append(np.concatenate([points[:-1] for points, _ in parts]))
+        stack.append(found)
+    return Yardstick(from_rings(layers.heights, stack), blocks)
+
+
+def _runs(ring: Floats) -> list[Floats]:
+    """A closed ring parted at its corners; without one, at its first point."""
+    before, after = ring - np.roll(ring, 1, axis=0), np.roll(ring, -1, axis=0) - ring
+    turn = np.arctan2(before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0], (before * after).sum(axis=1))
+    corners = np.flatnonzero(np.abs(turn) > CORNER_RAD)
+    first = int(corners[0]) if corners.size else 0
+    closed = np.concatenate([np.roll(ring, -first, axis=0), ring[first : first + 1]])
+    cuts = [0, *(corners[1:] - first).tolist(), len(ring)]
+    return [closed[a : b + 1] for a, b in pairwise(cuts)]
+
+
+def _welded(run: Floats, tolerance_mm: float) -> tuple[Floats, int]:
+    points, blocks, i = [run[:1]], 0, 0
+    while i < len(run) - 1:
+        best, j = None, i + LEAST_ARC_POINTS - 1
+        while j < len(run):
+            found = _arc(run[i : j + 1], tolerance_mm)
+            if found is None:
+                break
+            best, end = found, j
+            j += 1
+        if best is None:
+            best, end = run[i : i + 2], i + 1
+        points.append(best[1:])
+        blocks += 1
+        i = end
+    return np.concatenate(points), blocks
+
+
+def _arc(points: Floats, tolerance_mm: float) -> Floats | None:
+    """Samples of the arc through first, middle and last point, or None where it leaves them."""
+    (ax, ay), (bx, by), (cx, cy) = points[0], points[len(points) // 2], points[-1]
+    d = 2.0 * (ax * (by - cy) + bx * (cy - ay) + cx * (ay - by))
+    if abs(d) < 1e-12:
+        return None
+    a, b, c = ax * ax + ay * ay, bx * bx + by * by, cx * cx + cy * cy
+    x = (a * (by - cy) + b * (cy - ay) + c * (ay - by)) / d
+    y = (a * (cx - bx) + b * (ax - cx) + c * (bx - ax)) / d
+    radius = math.hypot(ax - x, ay - y)
+    near = np.concatenate([points, 0.5 * (points[1:] + points[:-1])]) - (x, y)
+    if np.abs(np.hypot(near[:, 0], near[:, 1]) - radius).max() > tolerance_mm:
+        return None
+    angle = np.unwrap(np.arctan2(points[:, 1] - y, points[:, 0] - x))
+    if abs(angle[-1] - angle[0]) > 2.0 * math.pi - 0.1:
+        return None
+    along = np.linspace(angle[0], angle[-1], max(SAMPLES_A_BLOCK, 4 * len(points)))
+    sampled = np.column_stack([x + radius * np.cos(along), y + radius * np.sin(along)])
+    sampled[0], sampled[-1] = points[0], points[-1]
+    return sampled
+
+
+def _spline(run: Floats, tolerance_mm: float) -> tuple[Floats, int]:
+    if len(run) < 5:
+        return run, len(run) - 1
+    low, high, best = 0.0, len(run) * tolerance_mm**2, None
+    for k in range(HALVINGS):  # of the sum of squares that splprep may leave
+        s = high if k == 0 else 0.5 * (low + high)
+        with warnings.catch_warnings():  # a sum that it cannot reach is told by the distance below
+            warnings.simplefilter("ignore", RuntimeWarning)
+            tck, u = splprep(list(run.T), s=s, k=3, quiet=2)[:2]  # type: ignore[call-overload]
+        off = np.hypot(*(np.array(splev(u, tck)) - run.T)).max()
+        if off <= tolerance_mm:
+            low, best = s, tck
+            if k == 0:
+                break
+        else:
+            high = s
+    if best is None:
+        return run, len(run) - 1
+    spans = len(np.unique(best[0])) - 1
+    sampled = np.array(splev(np.linspace(0.0, 1.0, max(4 * len(run), SAMPLES_A_BLOCK * spans)), best)).T
+    sampled[0], sampled[-1] = run[0], run[-1]
+    return sampled, spans
+
 
 LAYERS = 12
 FINE_MM = 0.01
@@ -47,6 +164,12 @@ HEADINGS = (
 
 DEFAULT_OUTPUT = Path("reports/curves")
 
+MEANING = (
+    "Made by `{}`. Normal distance of all rings from the part that the mesh stands for: closed forms by\n"
+    "formula, CAD solids by a tessellation of the same generator with a chord error of 1e-4 mm. Gain: how much smaller\n"
+    "the RMS is than the contour's. Arc welder and splprep see the contour alone, at the same tolerance."
+)
+
 
 def measure(layers: int, quick: bool) -> list[dict[str, Any]]:
     """One row for each part and method."""
@@ -57,41 +180,22 @@ def _rows(case: CurvePart, count: int) -> list[dict[str, Any]]:
     part = case.mesh()
     layers = slice_part(part, heights_of(part, count))
     truth = case.truth(layers.heights)
-    common = {
-        "part": case.name,
-        "kind": case.kind,
-        "facets": len(part.faces),
-        "points": len(layers.points),
-        "rings": layers.closed.size,
-    }
-    rms, largest = _errors(layers, truth)
-    rows = [
-        {
-            **common,
-            "method": "contour",
-            "rms_mm": rms,
-            "max_mm": largest,
-            "blocks": polylines(layers).block_count(),
-        }
-    ]
+
+    def row(method: str, stack: Layers | Curves, blocks: int, **more: int) -> dict[str, Any]:
+        rms, largest = _errors(stack, truth)
+        sizes = {"facets": len(part.faces), "points": len(layers.points), "rings": layers.closed.size}
+        errors = {"rms_mm": rms, "max_mm": largest, "blocks": blocks}
+        return {"part": case.name, "kind": case.kind, **sizes, "method": method, **errors, **more}
+
+    rows = [row("contour", layers, polylines(layers).block_count())]
     for method in METHODS:
         curves = fit(layers, method, part=part)
-        rms, largest = _errors(curves, truth)
-        rows.append(
-            {
-                **common,
-                "method": method,
-                "rms_mm": rms,
-                "max_mm": largest,
-                "blocks": curves.block_count(),
-                "fallen": 0 if curves.evidence is None else int((curves.evidence.method > 0).sum()),
-                "crossing": int(crossings(curves).crossed.sum()),
-            }
-        )
+        fallen = 0 if curves.evidence is None else int((curves.evidence.method > 0).sum())
+        crossing = int(crossings(curves).crossed.sum())
+        rows.append(row(method, curves, curves.block_count(), fallen=fallen, crossing=crossing))
     for name, peer in PEERS.items():
         made = peer(layers, CurveSettings().tolerance_mm)
-        rms, largest = _errors(made.sampled, truth)
-        rows.append({**common, "method": name, "rms_mm": rms, "max_mm": largest, "blocks": made.blocks})
+        rows.append(row(name, made.sampled, made.blocks))
     return rows
 
 
@@ -117,21 +221,14 @@ def summary(rows: Sequence[dict[str, Any]]) -> pd.DataFrame:
     found = []
     for (kind, method), some in own.groupby(["kind", "method"], sort=False):
         worst = some["part"].iloc[int(np.nanargmin(some["gain"]))] if some["gain"].notna().any() else ""
-        found.append(
-            {
-                "kind": kind,
-                "method": method,
-                "parts": len(some),
-                "median gain": some["gain"].median(),
-                "worst gain": some["gain"].min(),
-                "worst part": worst,
-                "growth": some["growth"].max(),
-                "exact_mm": some["exact_mm"].max(),
-                "points a block": some["points a block"].median(),
-                "fallen rings": some["fallen"].sum() / some["rings"].sum() if method in METHODS else np.nan,
-                "crossing rings": some["crossing"].sum() if method in METHODS else np.nan,
-            }
-        )
+        fallen, crossing = some["fallen"].sum() / some["rings"].sum(), some["crossing"].sum()
+        found.append({
+            "kind": kind, "method": method, "parts": len(some), "median gain": some["gain"].median(),
+            "worst gain": some["gain"].min(), "worst part": worst, "growth": some["growth"].max(),
+            "exact_mm": some["exact_mm"].max(), "points a block": some["points a block"].median(),
+            "fallen rings": fallen if method in METHODS else np.nan,
+            "crossing rings": crossing if method in METHODS else np.nan,
+        })  # fmt: skip
     return pd.DataFrame(found)
 
 
@@ -144,47 +241,57 @@ def time_stack(count: int) -> list[dict[str, Any]]:
         fit(layers.block(0, 2), method, part=part)
         start = time.perf_counter()
         fit(layers, method, part=part)
-        rows.append(
-            {
-                "method": method,
-                "layers": count,
-                "points": len(layers.points),
-                "seconds": time.perf_counter() - start,
-            }
-        )
+        seconds = time.perf_counter() - start
+        rows.append({"method": method, "layers": count, "points": len(layers.points), "seconds": seconds})
     return rows
 
 
 def as_markdown(record: dict[str, Any]) -> str:
     """Tables of a record."""
-    lines = [
-        "# Curves",
-        "",
-        f"Made by `{record['command']}`. Normal distance of all rings from the part that the mesh stands for: closed forms by",
-        "formula, CAD solids by a tessellation of the same generator with a chord error of 1e-4 mm. Gain: how much smaller",
-        "the RMS is than the contour's. Arc welder and splprep see the contour alone, at the same tolerance.",
-        "",
-        f"| {' | '.join(HEADINGS)} |",
-        "|" + "---|" * len(HEADINGS),
-    ]
-    lines += [
-        f"| {row['kind']} | {row['method']} | {row['parts']} | {_percent(row['median gain'])} | "
-        f"{_percent(row['worst gain'])} | {row['worst part']} | {_number(row['growth'])} | "
-        f"{_number(row['exact_mm'])} | {_number(row['points a block'])} | {_percent(row['fallen rings'])} | "
-        f"{_number(row['crossing rings'])} |"
+    kinds = [
+        [
+            *(
+                row["kind"],
+                row["method"],
+                row["parts"],
+                _percent(row["median gain"]),
+                _percent(row["worst gain"]),
+            ),
+            *(
+                row["worst part"],
+                _number(row["growth"]),
+                _number(row["exact_mm"]),
+                _number(row["points a block"]),
+            ),
+            *(_percent(row["fallen rings"]), _number(row["crossing rings"])),
+        ]
         for row in record["summary"]
     ]
-    lines += ["", "| part | facets | method | RMS, mm | largest, mm | blocks |", "|---|---|---|---|---|---|"]
-    for row in record["parts"]:
-        if row["method"] in ("contour", "bounded"):
-            lines.append(
-                f"| {row['part']} | {row['facets']:,} | {row['method']} | {row['rms_mm']:.6f} | {row['max_mm']:.6f} | "
-                f"{row['blocks']:,} |"
-            )
-    lines += ["", "| method | layers | contour points | seconds |", "|---|---|---|---|"]
-    for row in record["stack"]:
-        lines.append(f"| {row['method']} | {row['layers']} | {row['points']:,} | {row['seconds']:.1f} |")
-    return "\n".join(lines) + "\n"
+    parts = [
+        [
+            row["part"],
+            f"{row['facets']:,}",
+            row["method"],
+            f"{row['rms_mm']:.6f}",
+            f"{row['max_mm']:.6f}",
+            f"{row['blocks']:,}",
+        ]
+        for row in record["parts"]
+        if row["method"] in ("contour", "bounded")
+    ]
+    stack = [
+        [row["method"], row["layers"], f"{row['points']:,}", f"{row['seconds']:.1f}"]
+        for row in record["stack"]
+    ]
+    return "\n\n".join(
+        [
+            "# Curves",
+            MEANING.format(record["command"]),
+            markdown(HEADINGS, kinds),
+            markdown(["part", "facets", "method", "RMS, mm", "largest, mm", "blocks"], parts),
+            markdown(["method", "layers", "contour points", "seconds"], stack) + "\n",
+        ]
+    )
 
 
 def _percent(value: float | None) -> str:

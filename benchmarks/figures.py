@@ -45,8 +45,6 @@ class Spread:
 def spread(values: Iterable[float]) -> Spread:
     """Return the median and the spread of at least one figure.
 
-    Examples
-    --------
     >>> spread([3.0, 1.0, 2.0, 10.0, 2.0])
     Spread(median=2.0, least=1.0, greatest=10.0, count=5)
     """
@@ -66,8 +64,6 @@ def ratio(a: Spread | None, b: Spread | None) -> Spread | None:
 def quantity(value: float, unit: str) -> str:
     """Write a figure in its unit: ``"s"``, ``"MB"``, ``"mm"``, or ``""`` for a ratio or a count.
 
-    Examples
-    --------
     >>> [quantity(v, "s") for v in (0.0042, 0.31415, 1.5512, 247.4)], quantity(8192.0, "MB")
     (['4.20 ms', '314 ms', '1.55 s', '247 s'], '8.19 GB')
     """
@@ -81,8 +77,6 @@ def quantity(value: float, unit: str) -> str:
 def spread_text(figures: Spread, unit: str = "s") -> str:
     """Write a median, with the least and greatest where there are several.
 
-    Examples
-    --------
     >>> spread_text(spread([0.31, 0.30, 0.35]))
     '310 ms (300 ms .. 350 ms, n = 3)'
     """
@@ -102,8 +96,6 @@ def _digits(value: float) -> str:
 def markdown(columns: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     """Build a table of Markdown; a bar in a text is escaped.
 
-    Examples
-    --------
     >>> print(markdown(["a", "b"], [["1", "x|y"]]))
     | a | b |
     |---|---|

@@ -5,11 +5,13 @@ from __future__ import annotations
 import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from pathlib import Path
 from typing import Any, Literal
 
 from benchmarks.figures import (
     Note,
     Raw,
+    Spread,
     cell_times,
     find,
     is_scaled,
@@ -24,6 +26,8 @@ from benchmarks.figures import (
 from benchmarks.parts import BenchmarkPart
 from benchmarks.watch import run_task
 from ebamcheck.plugins import registry
+from ebamcheck.showing.colours import COLOURS
+from ebamcheck_reports.paper import published
 
 PAPERS_PIXEL_MM = 0.1
 LITERAL = "stencil literal"
@@ -243,3 +247,58 @@ def series_of(raw: Raw) -> list[str]:
 def top_of(raw: Raw, series: str) -> int:
     """Largest size of a series that was measured."""
     return max(int(part["size"]) for part in raw["parts"].values() if part["series"] == series)
+
+
+# -- chart --------------------------------------------------------------------------------------------------
+
+
+MARKS = {"measured": ("o", "full", ""), "scaled": ("o", "none", "~"), "over": ("^", "full", "> ")}
+"""Marker, its filling, and the sign before the figure: what is estimated or was cut short looks so."""
+
+
+def plotted(raw: Raw, series: str) -> dict[str, list[tuple[int, Spread, str]]]:
+    """Facets, time and kind of all cells of a series that have a figure or ran over the limit, by method."""
+    found: dict[str, list[tuple[int, Spread, str]]] = {}
+    for name in raw["methods"]:
+        for key, part in raw["parts"].items():
+            cell = find(raw["cells"], key, name) if part["series"] == series else None
+            if cell is None:
+                continue
+            if (times := cell_times(cell)) is not None:
+                found.setdefault(name, []).append(
+                    (part["facets"], times, "scaled" if is_scaled(cell) else "measured")
+                )
+            elif cell["status"] == "over" and not cell["why"].startswith("not tried"):
+                found.setdefault(name, []).append((part["facets"], spread([cell["limit_s"]]), "over"))
+    return found
+
+
+def write_chart(raw: Raw, series: str, path: Path) -> None:
+    """Draw times over facets, both logarithmic, with the paper's own figure, as an SVG whose words are text."""
+    from matplotlib import rc_context
+    from matplotlib.figure import Figure
+
+    with rc_context({"svg.fonttype": "none", "svg.hashsalt": "ebamcheck"}):
+        figure = Figure(figsize=(10.8, 6.2), layout="constrained")
+        axes = figure.add_subplot(xscale="log", yscale="log", xlabel="facets", ylabel="seconds")
+        for rank, (name, points) in enumerate(plotted(raw, series).items()):
+            colour, dash = COLOURS[rank % len(COLOURS)], ("-", "--", ":")[rank // len(COLOURS) % 3]
+            label = f"{name}: {MARKS[points[-1][2]][2]}{quantity(points[-1][1].median, 's')}"
+            axes.plot(
+                [f for f, _, _ in points], [s.median for _, s, _ in points], dash, color=colour, label=label
+            )
+            for facets, times, kind in points:
+                marker, filling, _ = MARKS[kind]
+                axes.plot(facets, times.median, marker=marker, fillstyle=filling, color=colour)
+                axes.vlines(facets, times.least, times.greatest, color=colour)
+        words = f"paper: {published.SLICING_S:g} s, {published.FACETS:,} facets, {published.LAYERS} layers;\n"
+        words += f"another part, {published.DEVICE.partition(',')[0]}"
+        axes.plot(published.FACETS, published.SLICING_S, "*", color="#b3261e", markersize=14, label=words)
+        layer_mm = next(p["layer_mm"] for p in raw["parts"].values() if p["series"] == series)
+        machine = raw["machine"]
+        where = f"{machine['cpu']}, {machine['cores']} cores; layers of {layer_mm:g} mm."
+        title = f"Time of slicing by every method, part {series}\n{where} Hollow: scaled from some layers. Arrow: ended at the limit."
+        figure.suptitle(title, x=0.01, horizontalalignment="left", fontsize="medium")
+        axes.grid(visible=True, which="major", color="#e4e4e4")
+        figure.legend(loc="outside right upper", frameon=False)
+        figure.savefig(path, format="svg", metadata={"Date": None})

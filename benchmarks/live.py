@@ -36,16 +36,16 @@ ISLANDS = (0, 15, 50, 100, 300, 10**9)
 TARGETS_S = {50: 0.2, 300: 0.5}
 """Latency that is aimed at for layers of up to so many islands."""
 
+TIMES = ("median_s", "p99_s", "processor_median_s", "processor_p99_s")
 STAGES = ("slice", "compare", "fit", "plan", "write", "verify")
 
 
-def built(found: FinishedRun, growth: Growth, side_mm: float | None, most: int | None) -> pd.DataFrame:
+def built(found: FinishedRun, growth: Growth, most: int | None) -> pd.DataFrame:
     """Build a part and time every answer; one row a layer that was published on a measured height."""
-    config = found.config if side_mm is None else found.config.changed(scan={"hexagon_side_mm": side_mm})
     rows: list[dict[str, Any]] = []
     with (
         tempfile.TemporaryDirectory(prefix="benchmark-live-") as folder,
-        LayerMaker(found.part, config, found.primary) as maker,
+        LayerMaker(found.part, found.config, found.primary) as maker,
     ):
         building = Building(maker, Path(folder) / "build")
         try:
@@ -84,8 +84,6 @@ def on_control(run: Path, part: Path | None, growth: Growth) -> pd.DataFrame:
 def by_islands(table: pd.DataFrame) -> pd.DataFrame:
     """Median and 99th percentile of the times of layers with about as many islands.
 
-    Examples
-    --------
     >>> rows = pd.DataFrame({"islands": [10, 12, 40], "wall_s": [1.0, 3.0, 5.0], "processor_s": [1.0, 1.0, 2.0]})
     >>> by_islands(rows)[["islands", "layers", "median_s"]].values.tolist()
     [['1 to 15', 2, 2.0], ['16 to 50', 1, 5.0], ['all', 3, 3.0]]
@@ -109,14 +107,20 @@ def by_islands(table: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def text(tables: dict[str, pd.DataFrame], what: str) -> str:
+def text(table: pd.DataFrame, what: str) -> str:
     """The report in Markdown."""
-    head = ["hexagons", "islands", "layers", "median, s", "99th percentile, s", "processor, median, s", "99th percentile, s"]  # fmt: skip
-    rows = []
-    for name, table in tables.items():
-        for row in by_islands(table).to_dict("records"):
-            times = (row["median_s"], row["p99_s"], row["processor_median_s"], row["processor_p99_s"])
-            rows.append([name, str(row["islands"]), str(row["layers"]), *(f"{t:.3f}" for t in times)])
+    head = [
+        "islands",
+        "layers",
+        "median, s",
+        "99th percentile, s",
+        "processor, median, s",
+        "99th percentile, s",
+    ]
+    rows = [
+        [str(row["islands"]), str(row["layers"]), *(f"{row[name]:.3f}" for name in TIMES)]
+        for row in by_islands(table).to_dict("records")
+    ]
     aims = " and ".join(f"{aim:g} s for up to {n} islands" for n, aim in TARGETS_S.items())
     return (
         f"# Latency of a live build\n\n{what}\n\n{markdown(head, rows)}\n\nAimed at in a running server are {aims}. "
@@ -134,10 +138,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--noise", type=float, default=0.05)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument(
-        "--side", type=float, nargs="*", default=[], help="builds with hexagons of these sides, mm, too"
-    )
-    parser.add_argument("--side-layers", type=int, default=14, help="layers of each of those")
-    parser.add_argument(
         "--opcua",
         action="store_true",
         help="by a played control with an OPC UA server instead: print the waits of its program",
@@ -153,30 +153,18 @@ def main(arguments: Sequence[str] | None = None) -> None:
         )
         return
     found = finished_run(given.run, given.part)
-    tables = {
-        "planned" if side is None else f"{side:g} mm": built(
-            found, growth, side, given.layers if side is None else given.side_layers
-        )
-        for side in (None, *given.side)
-    }
+    table = built(found, growth, given.layers)
     here, load = machine(), os.getloadavg()[0]
     command = f"python -m benchmarks.live {given.run.name} --drift {given.drift:g} --noise {given.noise:g} --seed {given.seed}"
     command += f" --layers {given.layers}" if given.layers else ""
-    command += (
-        f" --side {' '.join(f'{side:g}' for side in given.side)} --side-layers {given.side_layers}"
-        if given.side
-        else ""
-    )
     what = (
         f"Part `{found.part.name}`, {len(found.part.faces)} facets, built by `{command}`. "
         f"Machine: {here['cpu']}, {here['cores']} cores; {load:.1f} processes ran on it in the last minute."
     )
     given.output.mkdir(parents=True, exist_ok=True)
-    named = [table.assign(hexagons=name) for name, table in tables.items()]
-    pd.concat(named).round(4).to_csv(given.output / LATENCIES, index=False)
-    grouped = [by_islands(table).assign(hexagons=name) for name, table in tables.items()]
-    pd.concat(grouped).round(4).to_csv(given.output / SUMMARY, index=False)
-    report = text(tables, what)
+    table.assign(hexagons="planned").round(4).to_csv(given.output / LATENCIES, index=False)
+    by_islands(table).assign(hexagons="planned").round(4).to_csv(given.output / SUMMARY, index=False)
+    report = text(table, what)
     (given.output / TEXT).write_text(report, encoding="utf-8")
     print(report)
 

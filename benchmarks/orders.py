@@ -175,16 +175,11 @@ def build_table(names: tuple[str, ...]) -> pd.DataFrame:
         for what, order, scan in BUILD_ORDERS:
             began = time.process_time()
             found = pd.DataFrame(scan_part(sections, heights, Config().changed(scan=scan), order, 0))
-            rows.append(
-                {
-                    "part": name,
-                    "order": what,
-                    "build, s": found["time_s"].sum() + found["wait_s"].sum(),
-                    "hottest entry, K": found["entry_max_k"].mean(),
-                    "travel, m": 1e-3 * found["travel_mm"].sum(),
-                    "processor, s": time.process_time() - began,
-                }
-            )
+            rows.append({
+                "part": name, "order": what, "build, s": found["time_s"].sum() + found["wait_s"].sum(),
+                "hottest entry, K": found["entry_max_k"].mean(), "travel, m": 1e-3 * found["travel_mm"].sum(),
+                "processor, s": time.process_time() - began,
+            })  # fmt: skip
     return pd.DataFrame(rows).round(1)
 
 

@@ -249,48 +249,21 @@ def spread(content: Floats, solid: Bools, x: float, y: float, reach: Floats, hea
 STABLE = 0.9
 """Time step over the longest stable one."""
 
-HALF = 0.5
-"""Share of a cell in the section from which it counts as whole."""
-
 
 @dataclass(frozen=True, eq=False)
 class Referee:
-    """A section extruded to its base, in box-shaped cells.
+    """A section extruded to its base, in box-shaped cells, from the surface (index 0) down to the base."""
 
-    Parameters
-    ----------
-    origin
-        (2,) lower left corner, mm.
-    cell_mm
-        (3,) width, depth and height of a cell.
-    solid
-        (rows, columns) whether a vertical column of cells is metal.
-    layers
-        Number of cells from the surface (index 0) down to the base.
-    cooled
-        Whether the base is held at the ambient temperature; else it is insulated.
-    tables
-        Tables of the material.
-    radiation_w_mm2k4
-        Heat flux that the surface radiates, over T^4 - Ta^4.
-    ambient_k
-        Temperature of the chamber, and initial temperature.
-    sigma_mm
-        Standard deviation of the beam's heat.
-    boiling_j_mm3
-        Heat content at the boiling point: any excess leaves the surface as vapour.
-    """
-
-    origin: Floats
-    cell_mm: Floats
-    solid: Bools
+    origin: Floats  # (2,) lower left corner, mm
+    cell_mm: Floats  # (3,) width, depth and height of a cell
+    solid: Bools  # (rows, columns) whether a vertical column of cells is metal
     layers: int
-    cooled: bool
+    cooled: bool  # whether the base is held at the ambient temperature; else it is insulated
     tables: EnthalpyTables
-    radiation_w_mm2k4: float
-    ambient_k: float
-    sigma_mm: float
-    boiling_j_mm3: float
+    radiation_w_mm2k4: float  # heat flux that the surface radiates, over T^4 - Ta^4
+    ambient_k: float  # of the chamber, and at the beginning
+    sigma_mm: float  # standard deviation of the beam's heat
+    boiling_j_mm3: float  # heat content at the boiling point: any excess leaves the surface as vapour
 
     @property
     def longest_step_s(self) -> float:
@@ -301,17 +274,11 @@ class Referee:
     @property
     def body(self) -> Body:
         """The body in the form that the kernels of the time steps read."""
+        tables = self.tables
         return Body(
-            self.tables.temperature_k,
-            self.tables.theta_w_mm,
-            self.tables.step_j_mm3,
-            self.solid,
-            self.cell_mm,
-            self.cooled,
-            self.radiation_w_mm2k4,
-            self.ambient_k,
-            self.boiling_j_mm3,
-        )
+            tables.temperature_k, tables.theta_w_mm, tables.step_j_mm3, self.solid, self.cell_mm, self.cooled,
+            self.radiation_w_mm2k4, self.ambient_k, self.boiling_j_mm3,
+        )  # fmt: skip
 
     def cold(self) -> Floats:
         """Heat content (layers, rows, columns) of a body at the ambient temperature, J/mm^3."""
@@ -334,37 +301,19 @@ class Referee:
 
 @dataclass(frozen=True, eq=False)
 class Verdict:
-    """Result of a simulation by the referee.
+    """Temperatures and energy balance of a simulation by the referee."""
 
-    Parameters
-    ----------
-    entry_k
-        (I,) mean temperature rise above ambient of each island when the beam enters it; NaN for one without cells.
-    content
-        Heat content at the end, (layers, rows, columns) J/mm^3.
-    absorbed_j, to_base_j, radiated_j, evaporated_j
-        Energy balance.
-    hottest_k
-        Greatest temperature reached.
-    """
-
-    entry_k: Floats
-    content: Floats
+    entry_k: Floats  # (I,) mean rise above ambient of each island when the beam enters it; NaN for one without cells
+    content: Floats  # heat content at the end, (layers, rows, columns) J/mm^3
     absorbed_j: float
     to_base_j: float
     radiated_j: float
     evaporated_j: float
-    hottest_k: float
+    hottest_k: float  # greatest temperature reached
 
 
 def referee(section: BaseGeometry, config: Config, height_mm: float, cell_mm: float) -> Referee:
-    """Lay cells of about the given width over a section.
-
-    Raises
-    ------
-    GeometryError
-        If no cell lies in the section.
-    """
+    """Lay cells of about the given width over a section; an error if no cell lies in it."""
     x0, y0, x1, y1 = section.bounds
     columns, rows = max(1, round((x1 - x0) / cell_mm)), max(1, round((y1 - y0) / cell_mm))
     depth_mm = max(height_mm, 0.0) + config.process.base_plate_mm
@@ -372,7 +321,7 @@ def referee(section: BaseGeometry, config: Config, height_mm: float, cell_mm: fl
     cell = np.array([(x1 - x0) / columns, (y1 - y0) / rows, depth_mm / layers])
     x, y = np.meshgrid(x0 + np.arange(columns) * cell[0], y0 + np.arange(rows) * cell[1])
     boxes = shapely.box(x, y, x + cell[0], y + cell[1])
-    solid = shapely.area(shapely.intersection(boxes, section)) >= HALF * cell[0] * cell[1]
+    solid = shapely.area(shapely.intersection(boxes, section)) >= 0.5 * cell[0] * cell[1]
     if not solid.any():
         raise GeometryError(f"the section has no room for a cell of {cell_mm:g} mm: give smaller cells")
     tables = enthalpy_tables(config)
@@ -391,47 +340,21 @@ def referee(section: BaseGeometry, config: Config, height_mm: float, cell_mm: fl
 
 
 def judged(
-    model: Referee,
-    content: Floats,
-    lines: Floats,
-    begin_s: Floats,
-    end_s: Floats,
-    power_w: float,
-    islands: NDArray[np.object_],
-    entered_s: Floats,
-    until_s: float,
-) -> Verdict:
+    model: Referee, content: Floats, lines: Floats, begin_s: Floats, end_s: Floats, power_w: float,
+    islands: NDArray[np.object_], entered_s: Floats, until_s: float,
+) -> Verdict:  # fmt: skip
     """Move a beam along lines, and read the temperature of islands when the beam enters them.
 
-    Parameters
-    ----------
-    content
-        Heat content at the beginning.
-    lines
-        (V, 4) x0, y0, x1, y1 in the sequence in which they are driven, mm.
-    begin_s, end_s
-        (V,) times at which the beam is at their ends.
-    power_w
-        Absorbed power.
-    islands
-        (I,) polygons.
-    entered_s
-        (I,) times at which they are read.
-    until_s
-        End of the simulation.
+    `content` is that at the beginning; lines (V, 4) x0, y0, x1, y1 in the sequence in which they are driven, mm, with the times (V,)
+    at their ends; islands (I,) with the times (I,) at which they are read; the power is what is absorbed.
     """
     first, cells, weights = model.reading(islands)
     readings = np.argsort(entered_s, kind="stable")
     times_s = time_steps(until_s, model.longest_step_s, entered_s)
     state = content.copy()
     path = np.column_stack([lines - np.tile(model.origin, 2), begin_s, end_s])
-    entry_k, balance = heated_by_beam(
-        state,
-        model.body,
-        Beam(path, power_w, model.sigma_mm),
-        Readings(readings.astype(np.int64), np.asarray(entered_s, np.float64), first, cells, weights),
-        times_s,
-    )
+    read = Readings(readings.astype(np.int64), np.asarray(entered_s, np.float64), first, cells, weights)
+    entry_k, balance = heated_by_beam(state, model.body, Beam(path, power_w, model.sigma_mm), read, times_s)
     entry_k[np.diff(first) == 0] = np.nan
     return Verdict(entry_k, state, *balance.tolist())
 
@@ -446,35 +369,11 @@ def time_steps(until_s: float, longest_s: float, entered_s: Floats) -> Floats:
     return np.union1d(even, np.clip(entered_s, 0.0, until_s))
 
 
-CELLS_PER_ISLAND = 4.0
-"""Cells of the referee across an island."""
-
-
-OPINION = {
-    "referee_max_k": "greatest mean temperature rise of an island at entry, by the referee",
-    "referee_point_max_k": "greatest temperature rise of the spot where the beam enters an island, by the referee",
-    "referee_tau": "Kendall's rank correlation of the islands' rises at entry, linear model against referee",
-}
-"""Figures of a second opinion and what they are."""
-
-
 def second_opinion(model: Referee, result: OrderResult, config: Config) -> dict[str, float]:
-    """Simulate a compared order on the referee as well.
+    """Simulate a compared order on the referee of its layer as well.
 
-    Parameters
-    ----------
-    model
-        Referee of the layer, from :func:`referee_of`.
-    result
-        The order as the linear model drove it.
-    config
-        Settings of both.
-
-    Returns
-    -------
-    dict
-        Figures as :data:`OPINION` names them, K; the correlation is NaN where fewer than two islands are warmed before
-        they are entered.
+    Greatest rise at entry of an island (mean) and of the spot where the beam enters it, K; Kendall's rank correlation of the islands'
+    rises, linear model against referee, NaN where fewer than two islands are warmed before they are entered.
     """
     # Half a second to load, for those who compare orders.
     from scipy.stats import kendalltau
@@ -490,7 +389,7 @@ def second_opinion(model: Referee, result: OrderResult, config: Config) -> dict[
     }
 
 
-def referee_of(laid: LaidLayer, config: Config, cells_per_island: float = CELLS_PER_ISLAND) -> Referee:
+def referee_of(laid: LaidLayer, config: Config, cells_per_island: float = 4.0) -> Referee:
     """Set up the referee of a layer that has islands."""
     section = laid.regions.section
     width_mm = math.sqrt(section.area / len(laid.islands))
@@ -504,33 +403,16 @@ def refereed_entries(model: Referee, plan: ScanPlan, config: Config) -> tuple[Fl
     spots = shapely.buffer(
         shapely.points(first[["x0", "y0"]].to_numpy(np.float64)), 0.5 * config.process.bead_width_mm
     )
-    entered_s, count = _entered_s(plan, config), len(plan.islands)
+    starts = simulate_order(plan, config).sort_values("island")["start_s"].fillna(0.0)
+    entered_s, count = starts.to_numpy(np.float64), len(plan.islands)
     read = np.concatenate([plan.islands, spots])
-    entry_k = _simulated(model, plan, config, read, np.concatenate([entered_s, entered_s[island]])).entry_k
+    ends, begin_s, end_s = beam_lines(plan, config)
+    power_w, until_s = (
+        config.process.power_w * config.material.absorptivity,
+        float(end_s[-1]) if len(end_s) else 0.0,
+    )
+    times_s = np.concatenate([entered_s, entered_s[island]])
+    entry_k = judged(model, model.cold(), ends, begin_s, end_s, power_w, read, times_s, until_s).entry_k
     point_k = np.full(count, np.nan)
     point_k[island] = entry_k[count:]
     return entry_k[:count], point_k
-
-
-def _entered_s(plan: ScanPlan, config: Config) -> Floats:
-    """Time at which each island of a plan is entered, (I,); 0 for those without lines."""
-    simulated = simulate_order(plan, config).sort_values("island")
-    return np.asarray(simulated["start_s"].fillna(0.0).to_numpy(np.float64), np.float64)
-
-
-def _simulated(
-    model: Referee, plan: ScanPlan, config: Config, read: NDArray[np.object_], entered_s: Floats
-) -> Verdict:
-    """Simulate a plan of one layer from cold and read the temperatures of polygons, each at its time."""
-    ends, begin_s, end_s = beam_lines(plan, config)
-    return judged(
-        model,
-        model.cold(),
-        ends,
-        begin_s,
-        end_s,
-        config.process.power_w * config.material.absorptivity,
-        read,
-        entered_s,
-        float(end_s[-1]) if len(end_s) else 0.0,
-    )

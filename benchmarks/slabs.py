@@ -17,8 +17,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from benchmarks.even_mesh import write_even_mesh
 from benchmarks.figures import machine, markdown
+from benchmarks.parts import write_even_mesh
 from benchmarks.targets import check_command
 from benchmarks.watch import ROOT
 from ebamcheck.atomic_file import replacing
@@ -51,10 +51,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     file = output / f"{NAME}.json"
     known = json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {"rows": []}
     row = measure(options)
-    rows = [
-        old for old in known["rows"] if (old["wanted_facets"], old["backends"], old["whole"]) != _key(row)
-    ]
-    rows = sorted([*rows, row], key=lambda r: (r["facets"], r["backends"], r["whole"]))
+    rows = [old for old in known["rows"] if (old["wanted_facets"], old["backends"]) != _key(row)]
+    rows = sorted([*rows, row], key=lambda r: (r["facets"], r["backends"]))
     with replacing(file) as temporary:
         temporary.write_text(json.dumps({"rows": rows}, indent=1, sort_keys=True) + "\n", encoding="utf-8")
     with replacing(output / f"{NAME}.md") as temporary:
@@ -65,9 +63,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def measure(options: argparse.Namespace) -> dict[str, Any]:
     """One row: the mesh is written to a temporary folder and goes at the end."""
-    slabs = (
-        1 if options.whole else options.slabs or max(FEWEST_SLABS, math.ceil(options.facets / FACETS_A_SLAB))
-    )
+    slabs = options.slabs or max(FEWEST_SLABS, math.ceil(options.facets / FACETS_A_SLAB))
     layer_mm = LADDER.height_mm / options.layers
     found_machine = machine()
     with tempfile.TemporaryDirectory(prefix="ebamcheck-benchmark-") as folder:
@@ -77,7 +73,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
         facets = write_even_mesh(LADDER, options.facets, stl)
         print(f"slabs: {facets:,} facets made in {time.perf_counter() - start:.0f} s", file=sys.stderr)
         extra = ["--backends", options.backends, "--slabs", str(slabs), "--yes"]
-        found = check_command(stl, layer_mm, LIMIT_S, math.inf if options.whole else STOP_MB, extra)
+        found = check_command(stl, layer_mm, LIMIT_S, STOP_MB, extra)
     return {
         **found,
         "facets": facets,
@@ -86,8 +82,6 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
         "layers": options.layers,
         "backends": options.backends,
         "slabs": slabs,
-        "whole": options.whole,
-        "note": options.note,
         "machine": {
             k: found_machine[k] for k in ("cpu", "cores", "memory_gb", "load_at_start", "started", "commit")
         },
@@ -134,17 +128,17 @@ def _cells(row: Mapping[str, Any]) -> list[str]:
         f"{row['bytes'] / 1e9:.2f} GB",
         f"{row['layers']:,}",
         row["backends"].replace(",", ", "),
-        "whole" if row["whole"] else str(row["slabs"]),
+        str(row["slabs"]),
         result + (f", {others} do not" if others else ""),
         f"{row['wall_s']:.0f} s",
         f"{row['peak_mb'] / 1e3:.2f} GB",
         *[f"{stages[name]:.0f} s" if name in stages else "" for name in STAGES],
-        row["note"],
+        row.get("note", ""),
     ]
 
 
 def _key(row: Mapping[str, Any]) -> tuple[Any, ...]:
-    return row["wanted_facets"], row["backends"], row["whole"]
+    return row["wanted_facets"], row["backends"]
 
 
 def _room_for(stl: Path, facets: int) -> None:
@@ -159,7 +153,7 @@ def _given(options: argparse.Namespace) -> list[str]:
     given = ["--facets", str(options.facets), "--backends", options.backends]
     given += ["--layers", str(options.layers)] if options.layers != LAYERS else []
     given += ["--slabs", str(options.slabs)] if options.slabs else []
-    return given + (["--whole"] if options.whole else [])
+    return given
 
 
 def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
@@ -169,10 +163,6 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--backends", default=BACKENDS, help=f"slicers, with commas; default: {BACKENDS}")
     parser.add_argument(
         "--slabs", type=int, help=f"default: one for {FACETS_A_SLAB:,} facets, at least {FEWEST_SLABS}"
-    )
-    parser.add_argument("--whole", action="store_true", help="check the part as a whole, to compare with")
-    parser.add_argument(
-        "--note", default="", help="what stands beside the figures, such as what else was running"
     )
     parser.add_argument("--output", type=Path, default=OUTPUT, help="folder of the table")
     return parser.parse_args(arguments)

@@ -43,21 +43,11 @@ class Watched:
 
 
 def watch(
-    command: Sequence[str],
-    limit_s: float,
-    memory_mb: float = float("inf"),
-    clock: Path | None = None,
+    command: Sequence[str], limit_s: float, memory_mb: float = float("inf"), clock: Path | None = None
 ) -> Watched:
-    """Run a command from the repository's root and wait for its end, or end it at a limit.
+    """Run a command (no shell) from the repository's root and wait for its end, or end it at a limit of time or of memory.
 
-    Parameters
-    ----------
-    command
-        Program and arguments; no shell.
-    limit_s, memory_mb
-        Limits of time and of the resident memory of the whole tree.
-    clock
-        File whose appearance starts the clock of the limit; None: it runs from the start.
+    The memory is that of the whole tree. The clock of the limit starts when the file `clock` appears; None: at once.
     """
     with tempfile.TemporaryFile() as errors:
         before_s, start = children_s(), time.perf_counter()
@@ -93,10 +83,8 @@ def children_s() -> float:
 def run_task(task: str, request: Mapping[str, Any], limit_s: float) -> dict[str, Any]:
     """Run a task of :mod:`benchmarks.worker` in a fresh process.
 
-    Returns
-    -------
-    ``status`` ("done", "over", "failed"), ``why``, ``peak_mb`` of the tree, ``wall_s``, ``load`` of the machine
-    before it, and what the task answered.
+    The answer, with ``status`` ("done", "over", "failed"), ``why``, ``peak_mb`` of the tree, ``wall_s``, and the machine's ``load``
+    before it.
     """
     with tempfile.TemporaryDirectory(prefix="ebamcheck-benchmark-") as name:
         folder = Path(name)
@@ -105,21 +93,14 @@ def run_task(task: str, request: Mapping[str, Any], limit_s: float) -> dict[str,
         load = os.getloadavg()[0]
         watched = watch(command, limit_s, clock=folder / "began")
         found: dict[str, Any] = {
-            "load": round(load, 2),
-            "status": "done",
-            "why": "",
-            "peak_mb": watched.peak_mb,
-            "wall_s": watched.wall_s,
-        }
+            "load": round(load, 2), "status": "done", "why": "", "peak_mb": watched.peak_mb, "wall_s": watched.wall_s,
+        }  # fmt: skip
         answer = folder / "answer.json"
         if watched.ended == "time":
             return {**found, "status": "over", "why": f"ended after {limit_s:g} s"}
         if watched.code or not answer.is_file():
-            return {
-                **found,
-                "status": "failed",
-                "why": watched.last_words or f"ended with code {watched.code}",
-            }
+            why = watched.last_words or f"ended with code {watched.code}"
+            return {**found, "status": "failed", "why": why}
         answered = json.loads(answer.read_text(encoding="utf-8"))
     # The sampled peak can miss a short one of the process itself, which the kernel has counted.
     return {**found, **answered, "peak_mb": max(watched.peak_mb, answered.get("own_peak_mb", 0.0))}

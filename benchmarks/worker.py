@@ -6,21 +6,26 @@ It reads ``request.json`` in the folder, makes the file ``began`` when all kerne
 
 from __future__ import annotations
 
+import contextlib
 import gc
 import json
+import os
+import re
+import signal
+import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benchmarks import yardsticks
+from ebamcheck.errors import BackendFailed
 from ebamcheck.kernels import Floats
 from ebamcheck.layers.heights import layer_heights
-from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.files import load
 from ebamcheck.mesh.part import Part
 from ebamcheck.plugins import registry
@@ -122,13 +127,13 @@ def status_mb(field: str) -> float:
 
 def _one_round(method: Mapping[str, Any], stl: Path, layer_mm: float, scaled_s: float) -> dict[str, Any]:
     if method["kind"] == "prusa-stage":
-        return yardsticks.prusa_stage(stl, layer_mm)
+        return prusa_stage(stl, layer_mm)
     start = time.perf_counter()
     part = load(stl)
     load_s = time.perf_counter() - start
     heights = layer_heights(part, layer_mm)
     if method["kind"] == "manifold3d":
-        return {"load_s": load_s, **yardsticks.manifold_alone(part, heights)}
+        return {"load_s": load_s, **manifold_alone(part, heights)}
     return {"load_s": load_s, **_sliced(method, part, heights, scaled_s)}
 
 
@@ -147,20 +152,19 @@ def _sliced(method: Mapping[str, Any], part: Part, heights: Floats, scaled_s: fl
         start = time.perf_counter()
         layers = prepared.slice(chosen)
         slice_s = time.perf_counter() - start
+    columns = (
+        layers.heights,
+        layers.points,
+        layers.ring_starts,
+        layers.layer_starts,
+        layers.closed,
+        layers.edge,
+        layers.edge_t,
+    )
     return {
-        "prepare_s": prepare_s,
-        "slice_s": slice_s,
-        "layers": len(heights),
-        "layers_cut": len(chosen),
-        "points": len(layers.points),
-        "output_bytes": output_bytes(layers),
-    }
-
-
-def output_bytes(layers: Layers) -> int:
-    """Bytes of the columns of a stack."""
-    columns = (layers.heights, layers.points, layers.ring_starts, layers.layer_starts, layers.closed, layers.edge, layers.edge_t)  # fmt: skip
-    return sum(column.nbytes for column in columns if column is not None)
+        "prepare_s": prepare_s, "slice_s": slice_s, "layers": len(heights), "layers_cut": len(chosen),
+        "points": len(layers.points), "output_bytes": sum(column.nbytes for column in columns if column is not None),
+    }  # fmt: skip
 
 
 def some_of(heights: Floats, count: int) -> Floats:
@@ -176,6 +180,84 @@ def _warm_file(folder: Path) -> Path:
     path = folder / "warm.stl"
     write_stl(MODELS[WARM_MODEL].tessellate(WARM_TOLERANCE_MM), path)
     return path
+
+
+# -- two programs measured by themselves: manifold3d without its backend, and PrusaSlicer's slice stage ------
+
+
+STAGE_BEGINS = "slice_mesh to polygons"
+STAGE_ENDS = "Slicing volumes - removing top empty layers"
+"""Lines of PrusaSlicer's log (level 4) between which it makes polygons of all layers from the mesh it has read and
+repaired. What follows (perimeters, G-code) is no slicing in our sense: the process is ended there."""
+
+_TIME = re.compile(r"^\[(\d{4}-\d\d-\d\d \d\d:\d\d:\d\d\.\d+)\]")
+
+BED_MM, HIGHEST_MM = 2000, 1200
+"""The largest bed and the tallest printer that PrusaSlicer believes in."""
+
+
+def manifold_alone(part: Part, heights: Floats) -> dict[str, Any]:
+    """Time construct, slice and to_polygons of manifold3d on the vertices and facets of a part."""
+    from manifold3d import Error, Manifold, Mesh64
+
+    start = time.perf_counter()
+    solid = Manifold(Mesh64(part.vertices, part.faces.astype(np.uint64)))
+    if solid.status() != Error.NoError:
+        raise BackendFailed(f"manifold3d refuses the part: {solid.status()}")
+    ready = time.perf_counter()
+    rings = points = 0
+    for height in heights.tolist():
+        found = solid.slice(height).to_polygons()
+        rings += len(found)
+        points += sum(len(ring) for ring in found)
+    return {
+        "prepare_s": ready - start, "slice_s": time.perf_counter() - ready, "layers": len(heights),
+        "layers_cut": len(heights), "points": points, "rings": rings, "output_bytes": 16 * points,
+    }  # fmt: skip
+
+
+def prusa_stage(stl: Path, layer_mm: float) -> dict[str, Any]:
+    """Time PrusaSlicer's slice stage by the stamps of its own log."""
+    with tempfile.TemporaryDirectory(prefix="ebamcheck-prusa-") as folder:
+        command = [
+            "prusa-slicer", "--export-gcode", "--loglevel", "4", "--output", str(Path(folder, "out.gcode")),
+            "--bed-shape", f"0x0,{BED_MM}x0,{BED_MM}x{BED_MM},0x{BED_MM}", "--max-print-height", str(HIGHEST_MM),
+            "--dont-arrange", "--center", f"{BED_MM // 2},{BED_MM // 2}",
+            "--layer-height", f"{layer_mm:g}", "--first-layer-height", f"{layer_mm:g}",
+            "--nozzle-diameter", f"{max(0.4, 2.0 * layer_mm):g}",
+            "--slice-closing-radius", "0", "--resolution", "0", "--slicing-mode", "regular",
+            "--perimeters", "1", "--fill-density", "0", "--skirts", "0",
+            "--top-solid-layers", "0", "--bottom-solid-layers", "0", str(stl),
+        ]  # fmt: skip
+        process = subprocess.Popen(
+            command, cwd=folder, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+            text=True, errors="replace", start_new_session=True,
+        )  # fmt: skip
+        try:
+            assert process.stdout is not None
+            stage_s = stage_seconds(process.stdout)
+        finally:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
+            if process.stdout is not None:
+                process.stdout.close()
+    return {"load_s": 0.0, "prepare_s": 0.0, "slice_s": stage_s, "layers": 0, "layers_cut": 0}
+
+
+def stage_seconds(log: Iterable[str]) -> float:
+    """Seconds between the two lines of a log that begin and end the slice stage; an error if the log ends before that."""
+    began: datetime | None = None
+    line = ""
+    for line in log:
+        stamp = _TIME.match(line)
+        if stamp is None:
+            continue
+        if began is None and STAGE_BEGINS in line:
+            began = datetime.fromisoformat(stamp[1])
+        elif began is not None and STAGE_ENDS in line:
+            return (datetime.fromisoformat(stamp[1]) - began).total_seconds()
+    raise BackendFailed(f"PrusaSlicer ended without a slice stage: {line.strip()[:200]}")
 
 
 def main(folder: Path) -> None:

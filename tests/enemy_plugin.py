@@ -1,15 +1,19 @@
-"""Slicers that come to grief in one way each once they slice; what their tests install as a stranger's distribution."""
+"""Slicers that come to grief in one way each; what their tests install as a stranger's distribution, and workers load."""
 
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
+import time
 from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
 
+from ebamcheck.backend import BackendSettings, Probe
+from ebamcheck.errors import BackendFailed
 from ebamcheck_planecut import PlaneCut
 
 
@@ -113,3 +117,64 @@ def _class(name):
 
 for _name in SLICERS:
     globals()[_name.replace("-", "_")] = _class(_name)
+
+
+class Troubled(PlaneCut):
+    """A real slicer that comes to grief the way its settings say."""
+
+    name: ClassVar[str] = "troubled"
+    priority: ClassVar[int] = 1
+
+    class Settings(BackendSettings):
+        trouble: str = "none"
+
+    def prepare(self, part, settings):
+        match settings.trouble:
+            case "abort":
+                os.abort()
+            case "kill":
+                os.kill(os.getpid(), signal.SIGKILL)
+            case "hang":
+                time.sleep(600)
+            case "memory":
+                self.hoard = [np.ones(40_000_000) for _ in range(60) if time.sleep(0.02) is None]
+            case "raise":
+                raise RuntimeError("it broke\non two lines")
+            case "refuse":
+                raise BackendFailed("the mesh is not to its liking: 3 open edges")
+            case "stop":
+                return StopsHalfWay(PlaneCut().prepare(part, PlaneCut.Settings()))
+        return PlaneCut().prepare(part, PlaneCut.Settings())
+
+
+class StopsHalfWay:
+    """Cuts its first block and hangs in the second."""
+
+    def __init__(self, prepared):
+        self.prepared, self.calls = prepared, 0
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, kind, error, trace):
+        pass
+
+    def slice(self, heights, progress=None):
+        self.calls += 1
+        if self.calls > 1:
+            time.sleep(600)
+        return self.prepared.slice(heights, progress)
+
+
+class Absent(PlaneCut):
+    name: ClassVar[str] = "absent"
+
+    def probe(self):
+        return Probe(False, why="no such device", hint="install one")
+
+
+class Raising(PlaneCut):
+    name: ClassVar[str] = "raising"
+
+    def probe(self):
+        raise OSError("driver not found")

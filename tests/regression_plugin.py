@@ -47,7 +47,7 @@ def _rough(name: str, off_mm: float) -> type[PlaneCut]:
 
 
 ALLOWED_MM = 6e-5
-"""What the tolerance of a length allows over that; a test holds it to the settings, which load much."""
+"""What the tolerance of a length allows over that."""
 PLANTED = {
     "rough": _rough("rough", ROUGH_MM),
     "rough-within": _rough("rough-within", ROUGH_MM + 0.5 * ALLOWED_MM),

@@ -1,13 +1,14 @@
-"""Cuts of the stencil backend beside exact sections, for its tests."""
+"""Parts, cuts and bitmaps of the stencil backend, for its tests."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-import shapely
+from parts import box, moved
+from scipy.spatial.transform import Rotation
 
 from ebamcheck.layers.stack import Layers
-from ebamcheck.mesh.part import Part, from_arrays
+from ebamcheck.mesh.part import Part
 from ebamcheck_stencil import Stencil
 from ebamcheck_stencil.crossings import empty_bitmap, flip, flips_by_layer
 from ebamcheck_stencil.literal import LiteralSlices
@@ -17,8 +18,15 @@ gl = [pytest.mark.gl, pytest.mark.skipif(not PROBE.available, reason=f"stencil: 
 BOTH_MODES = pytest.mark.parametrize("mode", ["draw-once", "literal"])
 
 
-def cut(mesh, heights, **settings) -> Layers:
-    part = mesh if isinstance(mesh, Part) else from_arrays(*mesh)
+UNIT = box(upper=(1, 1, 1))
+
+
+def turned(part: Part, axis, angle: float) -> Part:
+    """A part rotated about an axis through the origin, angle in radians."""
+    return moved(part, Rotation.from_rotvec(angle * np.array(axis, float) / np.linalg.norm(axis)).as_matrix())
+
+
+def cut(part: Part, heights, **settings) -> Layers:
     with Stencil().prepare(part, Stencil.Settings(**settings)) as prepared:
         return prepared.slice(np.asarray(heights, float))
 
@@ -40,47 +48,6 @@ def image_at(prepared, height_mm):
     return as_image(bitmap, prepared._view)
 
 
-def bound(mesh, **settings) -> float:
-    return Stencil().error_bound_mm(from_arrays(*mesh), Stencil.Settings(**settings))
-
-
-def exact_section(mesh, height):
-    """Section of one closed body by polygonising the exact cuts of its facets at a generic height."""
-    vertices, faces = mesh
-    segments = []
-    for face in faces:
-        cuts = []
-        for a, b in zip(face, np.roll(face, -1), strict=True):
-            low, high = sorted((a, b))
-            za, zb = vertices[low, 2], vertices[high, 2]
-            if (za <= height) != (zb <= height):
-                t = (height - za) / (zb - za)
-                cuts.append(tuple(vertices[low, :2] + t * (vertices[high, :2] - vertices[low, :2])))
-        if cuts:
-            segments.append(cuts)
-    region = shapely.Polygon()
-    for polygon in shapely.get_parts(shapely.polygonize([shapely.LineString(s) for s in segments])):
-        region = region.symmetric_difference(shapely.Polygon(polygon.exterior))
-    return region
-
-
-def region_of(layers: Layers, k: int):
-    return shapely.union_all(layers.polygons(k))
-
-
-def breach(found, exact, r) -> float:
-    """Area, mm2, by which two regions differ deeper than `r`: 0 where the promise is kept."""
-    arcs = {"quad_segs": 64}
-    return (
-        exact.buffer(-1.001 * r, **arcs).difference(found).area
-        + found.difference(exact.buffer(1.001 * r, **arcs)).area
-    )
-
-
 def same(a: Layers, b: Layers) -> bool:
     columns = ("heights", "points", "ring_starts", "layer_starts", "closed")
     return all(np.array_equal(getattr(a, c), getattr(b, c)) for c in columns)
-
-
-def _fine_points(region):
-    return shapely.get_coordinates(shapely.segmentize(region.boundary, 0.01))

@@ -9,46 +9,70 @@ from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
-from benchmark_figures import cell, one_round, raw_figures
 
 import ebamcheck
 from benchmarks import __main__ as command
-from benchmarks import curves, ladder, parts, plot, targets, yardsticks
-from benchmarks.even_mesh import even_mesh
-from benchmarks.figures import Spread, cell_times, is_scaled, quantity, ratio, spread, spread_text, total_s
+from benchmarks import curves, ladder, parts, targets
+from benchmarks.acceptance import BACKENDS, DEFAULTS, PAIRS, REMEDIES, apart, rendered, row
+from benchmarks.figures import cell_times, is_scaled, ratio, spread, total_s
 from benchmarks.ladder import Effort, Method, measure_ladder
 from benchmarks.mutants import mutants
+from benchmarks.targets import TARGETS, Figures, targets_text
 from benchmarks.watch import ROOT, run_task, watch
-from benchmarks.worker import some_of
+from benchmarks.worker import stage_seconds
 from ebamcheck.curves import METHODS
 from ebamcheck.errors import BackendFailed
 from ebamcheck.mesh.files import load
 from ebamcheck.mesh.inspection import inspect
-from ebamcheck_models import LADDER, write_stl
+from ebamcheck.plugins.registry import models
+from ebamcheck.settings.config import Config
+from ebamcheck_models import LADDER
+
+
+def one_round(
+    seconds: float, layers_cut: int = 100, layers: int = 100, points: int = 1000
+) -> dict[str, object]:
+    return {
+        "load_s": 0.25 * seconds, "prepare_s": 0.25 * seconds, "slice_s": 0.5 * seconds,
+        "layers": layers, "layers_cut": layers_cut, "points": points, "rings": 10, "output_bytes": 16 * points,
+    }  # fmt: skip
+
+
+def cell(part: str, method: str, *seconds: float, **round_: int) -> dict[str, object]:
+    runs = [{"rounds": [one_round(s, **round_)], "peak_mb": 300.0, "resident_mb": 100.0} for s in seconds]
+    return {"part": part, "method": method, "status": "done", "why": "", "limit_s": 60.0, "runs": runs}
+
+
+def over(part: str, method: str) -> dict[str, object]:
+    return {**cell(part, method), "status": "over", "why": "ended after 60 s"}
+
+
+def raw_figures() -> dict[str, object]:
+    facets = {1: 4_000, 6: 38_000, 11: 1_480_000}
+    return {
+        "command": "python -m benchmarks",
+        "machine": {
+            "cpu": "made up", "cores": 2, "memory_gb": 24.0, "load_at_start": [0.1, 0.1, 0.1], "started": "now",
+            "ebamcheck": "0", "commit": "", "python": "3", "packages": {"numpy": "2"}, "renderer": "llvmpipe (made up)",
+        },
+        "methods": ["planecut", "stencil literal", "slic3r", "cura"],
+        "parts": {
+            f"ladder-{size}": {"series": "ladder", "size": size, "facets": n, "bytes": 50 * n, "layer_mm": 0.2}
+            for size, n in facets.items()
+        },
+        "cells": [
+            cell("ladder-1", "planecut", 0.01), cell("ladder-6", "planecut", 0.02, points=38_000),
+            cell("ladder-11", "planecut", 0.40, 0.42, 0.38, points=8_000_000),
+            cell("ladder-11", "stencil literal", 10.0, layers_cut=25), over("ladder-11", "slic3r"),
+            {**cell("ladder-11", "cura"), "status": "missing", "why": "the program | is not installed"},
+        ],
+        "targets": {"ladder": {}}, "job": {},
+    }  # fmt: skip
+
 
 # -- figures -------------------------------------------------------------------------------------------
-
-
-def test_the_spread_is_that_of_the_figures():
-    assert spread([5.0, 1.0, 2.0, 4.0]) == Spread(3.0, 1.0, 5.0, 4)
-    with pytest.raises(ValueError, match="no figures"):
-        spread([])
-
-
-@pytest.mark.parametrize(
-    ("value", "unit", "text"),
-    [
-        (0.0, "s", "0 ms"), (0.00512, "s", "5.12 ms"), (0.9996, "s", "1000 ms"), (89.99, "s", "90.0 s"), (600.4, "s", "600 s"),
-        (2.5e-7, "mm", "2.5e-07 mm"), (0.25, "", "0.25"), (8192.0, "MB", "8.19 GB"),
-    ],
-)  # fmt: skip
-def test_quantities_are_written_with_three_digits(value: float, unit: str, text: str):
-    assert quantity(value, unit) == text
-
-
-def test_one_figure_has_no_spread():
-    assert spread_text(spread([1.5])) == "1.50 s"
 
 
 def test_a_time_of_some_layers_is_scaled_in_its_slicing_alone():
@@ -69,20 +93,18 @@ def test_a_ratio_has_the_ends_that_both_spreads_allow():
     assert ratio(None, spread([1.0])) is None
 
 
-def test_heights_are_chosen_over_the_whole_part_and_all_where_there_are_few():
-    heights = np.arange(100.0)
-    chosen = some_of(heights, 9)
-    assert np.array_equal(chosen, [10.0, 20.0, 30.0, 40.0, 50.0, 59.0, 69.0, 79.0, 89.0])
-    assert np.array_equal(some_of(heights, 100), heights)
-
-
 # -- tables and plot -----------------------------------------------------------------------------------
 
 
 def test_tables_mark_what_was_scaled_cut_short_or_missing():
     text = ladder.ladder_text(raw_figures())
-    row = next(line for line in text.splitlines() if line.startswith("| 1,480,000"))
-    assert [c.strip() for c in row.strip("|").split("|")] == ["1,480,000", "400 ms", "~25.0 s", "> 60.0 s"]
+    line_of = next(line for line in text.splitlines() if line.startswith("| 1,480,000"))
+    assert [c.strip() for c in line_of.strip("|").split("|")] == [
+        "1,480,000",
+        "400 ms",
+        "~25.0 s",
+        "> 60.0 s",
+    ]
     assert "- cura, missing: the program | is not installed" in text
     assert "| ~25.0 s |" in ladder.readme_text(raw_figures())
 
@@ -96,49 +118,48 @@ def test_the_table_of_targets_has_a_row_for_each():
         "islands": [{**done, "layer_s": [9.0, 0.2, 0.6, 0.6], "islands": [10, 10, 10, 10]}],
     }
     text = targets.targets_text(raw)
-    for row in (*targets.TARGETS, *targets.JOB):
-        assert f"| {row.what} |" in text
+    for target in (*targets.TARGETS, *targets.JOB):
+        assert f"| {target.what} |" in text
     assert "**missed**: 2.00 times the target" in text
     # The first layer brings everything up: it counts in no row.
     assert "| 467 ms | met |" in text
     assert "| 3 | **missed**: 2.73 times the target |" in text
 
 
-def test_the_plot_is_one_picture_that_says_what_is_not_measured():
-    lines = plot.lines_of(raw_figures(), "ladder")
-    assert [[p.kind for p in line.points] for line in lines] == [["measured"] * 3, ["scaled"], ["over"]]
-    root = ElementTree.fromstring(plot.time_chart(lines, "Times", "<a & b>"))
-    space = "{http://www.w3.org/2000/svg}"
-    assert root.tag == f"{space}svg"
-    words = [text.text for text in root.iter(f"{space}text")]
+def test_the_chart_is_one_picture_that_says_what_is_not_measured(tmp_path: Path):
+    points = ladder.plotted(raw_figures(), "ladder")
+    assert [[kind for _, _, kind in line] for line in points.values()] == [
+        ["measured"] * 3,
+        ["scaled"],
+        ["over"],
+    ]
+    ladder.write_chart(raw_figures(), "ladder", tmp_path / "a.svg")
+    ladder.write_chart(raw_figures(), "ladder", tmp_path / "b.svg")
+    assert (tmp_path / "a.svg").read_bytes() == (tmp_path / "b.svg").read_bytes()
+    root = ElementTree.parse(tmp_path / "a.svg").getroot()
+    words = [text.text for text in root.iter("{http://www.w3.org/2000/svg}text")]
+    assert {"planecut: 400 ms", "stencil literal: ~25.0 s", "slic3r: > 60.0 s"} <= set(words)
     assert any("89 s" in w and "1,483,132" in w for w in words)
-    assert "stencil literal: ~25.0 s" in words
-    assert "slic3r: > 60.0 s" in words
-    fills = [circle.get("fill") for circle in root.iter(f"{space}circle")]
-    assert fills.count("white") == 1
-    assert len(fills) == 4
-    labels = sorted(
-        float(t.get("y"))
-        for t in root.iter(f"{space}text")
-        if t.text.startswith(("plane", "stencil l", "slic3r:"))
-    )
-    assert min(np.diff(labels)) >= plot.LABEL_STEP_PX - 0.1
 
 
 # -- parts ---------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("facets", [4822, 37747])
-def test_the_even_mesh_is_closed_near_equilateral_and_of_the_size_asked_for(facets: int, tmp_path: Path):
-    part = even_mesh(LADDER, facets)
-    assert abs(len(part.faces) - facets) < 0.02 * facets
+def test_the_even_mesh_is_closed_near_equilateral_and_of_the_size_asked_for(
+    facets: int, tmp_path: Path, monkeypatch
+):
+    count = parts.write_even_mesh(LADDER, facets, tmp_path / "even.stl")
+    part = load(tmp_path / "even.stl")
+    assert len(part.faces) == count
+    assert abs(count - facets) < 0.02 * facets
     assert inspect(part).passed
     assert part.volume == pytest.approx(LADDER.volume, rel=0.02)
-    assert np.array_equal(part.vertices, part.vertices.astype(np.float32))
     edges = np.linalg.norm(part.triangles - np.roll(part.triangles, 1, axis=1), axis=2)
     assert np.median(edges.max(axis=1) / edges.min(axis=1)) < 1.1
-    write_stl(part, tmp_path / "even.stl")
-    assert len(load(tmp_path / "even.stl").vertices) == len(part.vertices)
+    monkeypatch.setattr(parts, "FACETS_A_BAND", 1 << 10)
+    parts.write_even_mesh(LADDER, facets, tmp_path / "bands.stl")
+    assert (tmp_path / "bands.stl").read_bytes() == (tmp_path / "even.stl").read_bytes()
 
 
 def test_shuffled_facets_are_the_same_facets(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -154,12 +175,6 @@ def test_shuffled_facets_are_the_same_facets(tmp_path: Path, monkeypatch: pytest
     assert given.facets == len(one)
 
 
-@pytest.mark.parametrize("text", ["0", "12", "a", "3-", "5-4"])
-def test_sizes_that_are_none_are_refused(text: str):
-    with pytest.raises(ValueError, match=r"sizes|invalid literal"):
-        parts.sizes_of(text if text != "3-" else "x-3")
-
-
 # -- measurements --------------------------------------------------------------------------------------
 
 
@@ -171,15 +186,9 @@ def test_the_slice_stage_is_read_from_the_log():
         "[2026-01-01 00:00:03.500000] [0x1] [debug]   Slicing volumes - removing top empty layers\n",
         "[2026-01-01 00:00:09.000000] [0x1] [debug]   never read\n",
     ]
-    assert yardsticks.stage_seconds(log) == 1.25
+    assert stage_seconds(log) == 1.25
     with pytest.raises(BackendFailed, match="Objects could not fit"):
-        yardsticks.stage_seconds([*log[:3], "Objects could not fit on the bed\n"])
-
-
-def test_a_process_that_outlives_its_limit_is_ended():
-    found = watch([sys.executable, "-c", "while True: pass"], limit_s=0.2)
-    assert found.ended == "time"
-    assert found.code != 0
+        stage_seconds([*log[:3], "Objects could not fit on the bed\n"])
 
 
 def test_memory_of_children_counts_and_can_end_a_process():
@@ -275,6 +284,101 @@ def test_the_tables_of_the_curves_name_every_kind_and_method(tmp_path: Path) -> 
 
 def test_every_wrong_change_can_be_planted() -> None:
     """Rows of ``benchmarks/mutations`` follow the code: each text stands once in its file, and its tests are there."""
-    for row in mutants():
-        assert row.planted((ROOT / row.file).read_text(encoding="utf-8"))
-        assert all((ROOT / test.partition("::")[0]).exists() for test in row.tests), row
+    for one in mutants():
+        assert one.planted((ROOT / one.file).read_text(encoding="utf-8"))
+        assert all((ROOT / test.partition("::")[0]).exists() for test in one.tests), one
+
+
+# -- targets --------------------------------------------------------------------------------------------------
+
+
+DONE = {"status": "done", "why": ""}
+
+
+def results(**tasks: list[dict[str, object]]) -> dict[str, tuple[str, str]]:
+    raw = raw_figures()
+    figures = Figures(raw["cells"], tasks, raw["parts"], "ladder", 11)
+    return {
+        target.what.partition(",")[2].strip() or target.what: target.judged(figures) for target in TARGETS
+    }
+
+
+def test_a_target_is_met_missed_or_says_why_it_was_not_measured():
+    told = results(
+        **{"cold": [{"status": "failed", "why": "it crashed"}], "start-up": [{**DONE, "wall_s": 1.6}]}
+    )
+    assert told["file to contours, warm process"] == ("400 ms (380 ms .. 420 ms, n = 3)", "met")
+    assert told["whole command, cold"] == ("-", "not measured (failed: it crashed)")
+    assert told["one layer)"] == ("1.60 s", "**missed**: 2.00 times the target")
+    assert told["the paper's way, 0.1 mm pixels"] == ("22.5 s", "no target")
+    assert told["part loaded"] == ("-", "not measured (not measured)")
+
+
+def test_growth_is_per_facet_and_point_over_the_base_size():
+    base, small = 0.02 / (38_000 + 38_000), 0.01 / (4_000 + 1_000)
+    figure, verdict = results()["worst of all sizes"]
+    assert float(figure) == pytest.approx(small / base, rel=1e-2)
+    assert verdict == "**missed**: 2.53 times the target"
+
+
+def test_memory_is_related_to_file_and_layers():
+    figure, _ = results()["peak memory of the process over input + output"]
+    assert float(figure.split()[0]) == pytest.approx(300e6 / (50 * 1_480_000 + 16 * 8_000_000), rel=1e-2)
+
+
+def test_a_gpu_has_targets_of_its_own():
+    cells = [cell("ladder-11", "stencil", 0.5, points=1_000_000), cell("ladder-11", "stencil literal", 10.0)]
+    text = targets_text({**raw_figures(), "cells": cells}, gpu=True)
+    assert "| 500 ms | met |" in text
+    assert "| 10.0 s | **missed**: 2.00 times the target |" in text
+
+
+# -- the table of reference parts -----------------------------------------------------------------------------
+
+
+CONFIG = Config().changed(slicing={"backends": BACKENDS})
+
+
+def sums(value: float) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Sums of three layers by plan and text, all of them alike."""
+    ours = {name: [value, 2.0 * value, 0.0] for names in PAIRS.values() for name in names}
+    text = {theirs: [len(names) * value, 2.0 * len(names) * value, 0.0] for theirs, names in PAIRS.items()}
+    return pd.DataFrame(ours), pd.DataFrame(text)
+
+
+def test_equal_sums_are_not_apart():
+    assert apart(*sums(125.0)) == 0.0
+    assert apart(*sums(0.0)) == 0.0
+
+
+@pytest.mark.parametrize("column", PAIRS)
+def test_whatever_one_layer_has_more_in_the_text_is_seen(column):
+    plan, text = sums(125.0)
+    text.loc[0, column] *= 1.1
+    assert apart(plan, text) == pytest.approx(0.05)
+
+
+@pytest.mark.slow
+def test_a_cube_is_built_as_planned_and_told_so():
+    found = row("cube", models(("cube",))["cube"], CONFIG, DEFAULTS)
+    assert found["verdict"] == "VALIDATED"
+    assert found["apart"] < 1e-6
+    assert found["starts_plan"] == found["starts_text"] > 0
+    assert found["over_sections"] == pytest.approx(1.0, abs=0.02)
+    assert max(found["plan_k"], found["text_k"]) <= found["limit_k"]
+    text = rendered(pd.DataFrame([found]))
+    assert "| cube | defaults | 12 |" in text
+    assert "met" in text
+    assert "What shut the gates" not in text
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("part", ["bracket", "thin-walls", "two-spheres"])
+def test_a_part_that_is_refused_is_built_with_its_remedy(part):
+    model, remedy = models((part,))[part], REMEDIES[part]
+    before = row(part, model, CONFIG, DEFAULTS)
+    after = row(part, model, CONFIG.changed(**remedy.changes), str(remedy))
+    assert (before["verdict"], after["verdict"]) == ("NOT VALIDATED", "VALIDATED")
+    text = rendered(pd.DataFrame([before, after]))
+    assert f"- {part}: `{before['gates'].split()[0]}`" in text
+    assert f"- {part}: `{remedy}`: {remedy.why}." in text

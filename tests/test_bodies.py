@@ -6,6 +6,8 @@ import dataclasses
 
 import numpy as np
 import pytest
+import shapely
+from parts import box, join, welded
 from typer.testing import CliRunner
 
 import ebamcheck
@@ -15,10 +17,12 @@ from ebamcheck.mesh.bodies import bodies_of
 from ebamcheck.mesh.inspection import inspect
 from ebamcheck.mesh.part import Part, from_arrays
 from ebamcheck.pipeline import gates
+from ebamcheck.pipeline.findings import set_aside_findings
 from ebamcheck.pipeline.gates import volume_off
 from ebamcheck.preflight.report import ready
 from ebamcheck.settings.config import Config
 from ebamcheck.slicers.slicing import slice_part
+from ebamcheck.testing.solids import mapped, prism, turn
 from tests.three_mf import QUADS
 
 OUT, IN = 1, -1
@@ -157,37 +161,6 @@ def test_inspect_and_preflight_say_what_is_made_of_each_body(name, level, words,
     assert f"volume mm3           {CASES[name][1]:.9g}" in told.stdout
 
 
-def test_the_spool_is_held_against_the_union(tmp_path):
-    path = ebamcheck.save(CASES["doubled"][0], tmp_path / "part.stl")
-    config = Config().changed(machine={"spool_kg": 1.0})
-    check = next(c for c in ready(path, config).preflight.checks if c.name == "wire on the spool")
-    assert check.figure == pytest.approx(72000e-9 * config.material.density_kg_m3)
-
-
-def test_open_and_inside_out_parts_keep_their_signed_volume():
-    part = CASES["overlap"][0]
-    opened = dataclasses.replace(part, faces=part.faces[1:])
-    assert inspect(opened).verdict == "open"
-    assert opened.volume == opened.signed_volume
-    turned = CASES["side by side"][0].reversed()
-    assert inspect(turned).verdict == "inside-out"
-    assert turned.volume == pytest.approx(-64000)
-
-
-def test_a_thousand_cavities_are_told_apart_without_cutting(monkeypatch):
-    holes = [
-        ((4 + 10 * x, 4 + 10 * y, 4 + 10 * z), (2, 2, 2), IN)
-        for x in range(10)
-        for y in range(10)
-        for z in range(10)
-    ]
-    part = boxes(((0, 0, 0), (100, 100, 100), OUT), *holes)
-    monkeypatch.setattr("ebamcheck.mesh.bodies.MOST_CUT_FACETS", 0)
-    found = inspect(part)
-    assert (found.bodies, found.related_bodies, len(found.relations)) == (1001, 1000, 100)
-    assert found.volume_mm3 == pytest.approx(1e6 - 8000)
-
-
 def test_too_many_to_unite_is_said(monkeypatch, tmp_path):
     monkeypatch.setattr("ebamcheck.mesh.bodies.MOST_CUT_FACETS", 10)
     part = dataclasses.replace(CASES["overlap"][0])
@@ -207,3 +180,92 @@ def test_more_metal_than_the_box_holds_is_not_sound():
     assert "300000 mm3 in a box of 1000 mm3" in many.why
     assert inspect(boxes(cube)).verdict == "sound"
     assert inspect(boxes(cube, cube)).verdict == "sound"
+
+
+# -- bodies that touch --------------------------------------------------------------------------------
+
+
+EXACT = ("planecut", "manifold")
+HEIGHTS = np.array([3.1, 9.7, 16.3])
+
+
+def touching(*bodies):
+    return welded(join(*bodies))
+
+
+def ring(low_rad, high_rad, outer=32.0, inner=26.0, chords=96):
+    """A piece of a pipe's section; its ends lie on radii."""
+    angle = np.linspace(low_rad, high_rad, chords + 1)
+    round_ = np.column_stack([np.cos(angle), np.sin(angle)])
+    round_[np.abs(round_) < 1e-12] = 0.0
+    return shapely.Polygon(np.concatenate([outer * round_, inner * round_[::-1]]))
+
+
+PIPE = [prism(ring(low, low + np.pi), 0.0, 20.0) for low in (0.0, np.pi)]
+BLOCK = box((0, 0, 0), (40, 40, 20))
+TOUCHING = {
+    "part of a face": (touching(BLOCK, box((40, 10, 0), (80, 30, 20))), 1, 2400.0),
+    "a whole face": (touching(BLOCK, box((40, 0, 0), (80, 40, 20))), 1, 3200.0),
+    "two halves of a pipe": (touching(*PIPE), 2, 2 * ring(0.0, np.pi).area),
+    "an edge": (touching(BLOCK, box((40, 40, 0), (80, 80, 20))), 2, 3200.0),
+    "one on the other": (touching(box((0, 0, 0), (40, 40, 10)), box((0, 0, 10), (40, 40, 20))), 1, 1600.0),
+    "a gap of 0.001 mm": (touching(BLOCK, box((40.001, 0, 0), (80, 40, 20))), 2, 3199.96),
+    "a face and an overlap": (
+        touching(BLOCK, box((40, 0, 0), (80, 40, 20)), box((30, 30, 0), (50, 60, 20))), 1, 3600.0
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("backend", EXACT)
+@pytest.mark.parametrize("name", TOUCHING)
+def test_touching_bodies_are_one_region(name, backend):
+    part, rings, area = TOUCHING[name]
+    layers = ebamcheck.slice(part, HEIGHTS, backend)
+    assert layers.ring_counts().tolist() == [rings] * 3
+    assert layers.areas() == pytest.approx([area] * 3, rel=1e-9)
+    for k in range(3):
+        region = shapely.union_all(layers.polygons(k))
+        assert region.length == pytest.approx(float(layers.perimeters()[k]), rel=1e-12)  # no spur
+
+
+@pytest.mark.parametrize(("share", "rings"), [(1 / 1.2, 1), (1.2, 2)])
+def test_a_gap_is_kept_from_the_bound_on(share, rings):
+    bound = 4.0 * np.spacing(80.0)
+    step = np.spacing(40.0)
+    gap = step * (np.floor(share * bound / step) if rings == 1 else np.ceil(share * bound / step))
+    part = join(BLOCK, box((40.0 + gap, 0, 0), (80, 40, 20)))
+    assert ebamcheck.slice(part, HEIGHTS, "planecut").ring_counts().tolist() == [rings] * 3
+
+
+def grooved():
+    """A block with a V-groove along x, 5 mm deep: its ground lies at y = 20, z = 10."""
+    outline = shapely.Polygon([(0, 0), (40, 0), (40, 15), (30, 15), (20, 10), (10, 15), (0, 15)])
+    return mapped(prism(outline, 0.0, 40.0), np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]))
+
+
+@pytest.mark.parametrize("beside", [False, True])
+def test_a_groove_of_one_body_is_kept_however_narrow(beside):
+    """Bodies touch within the bound; the sides of one body do not, even beside another one."""
+    part = grooved()
+    if beside:
+        part = join(part, box((0, 40, 0), (40, 60, 20)))
+    heights = [np.nextafter(10.0, 0.0), np.nextafter(10.0, 20.0), 12.0]
+    assert ebamcheck.slice(part, heights, "planecut").ring_counts().tolist() == [1, 2, 2]
+
+
+def test_a_seam_that_rounding_opens_does_not_hide_what_is_solid():
+    """The place within the united face at which its winding is found lies on the seam."""
+    part = mapped(join(BLOCK, box((40, 0, 0), (80, 40, 20))), turn(59.0), (7.0, -3.0, 0.0))
+    assert ebamcheck.slice(part, HEIGHTS, "planecut").areas() == pytest.approx([3200.0] * 3, rel=1e-11)
+
+
+@pytest.mark.parametrize(("limit_mm", "agrees", "aside"), [(0.0006, True, 1), (0.0001, False, 0)])
+def test_the_comparison_says_how_many_rings_it_sets_aside(limit_mm, agrees, aside):
+    exact = ebamcheck.slice(TOUCHING["a gap of 0.001 mm"][0], HEIGHTS, "planecut")
+    closed = ebamcheck.slice(box((0, 0, 0), (80, 40, 20)), HEIGHTS, "planecut")
+    table = ebamcheck.compare(exact, closed, tolerance_mm=limit_mm, check_part=False)
+    assert table["topology_agrees"].tolist() == [agrees] * 3
+    assert table["set_aside"].tolist() == [aside] * 3
+    told = list(set_aside_findings(table.assign(a="planecut", b="embree")))
+    assert len(told) == int(agrees)
+    assert all("on 3 layers they agree once up to 1 rings" in finding.text for finding in told)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 import pytest
 import shapely
 from hypothesis import HealthCheck, given, settings, target
@@ -57,7 +56,7 @@ def shallow(degrees):
     )
 
 
-@pytest.mark.in_turn(4)
+@pytest.mark.in_turn(9, 4)
 @pytest.mark.parametrize("sample_mm", SAMPLES_MM)
 @pytest.mark.parametrize("method", METHODS)
 def test_the_bound_holds_and_is_not_idle(method, sample_mm):
@@ -89,14 +88,6 @@ def test_the_bound_holds_far_from_the_origin(method):
     for name in ("tilted plate", "sphere", "turned comb", "pillars"):
         part = solids.named(name, solids.mapped(solids.simple(name), shift=LARGE_OFFSET_MM))
         assert share(subject, part, 2) <= 1.0, name
-
-
-@pytest.mark.parametrize("method", METHODS)
-def test_the_bound_holds_on_large_parts_of_many_samples(method):
-    """Single precision at 2 m, and features about as thin as the bound."""
-    subject = subject_of(method, 1.9)
-    part = solids.mapped(solids.attackers(0.04)["thin walls at 17 degrees"], 40.0 * np.eye(3))
-    assert share(subject, part) <= 1.0
 
 
 @pytest.mark.parametrize("method", METHODS)

@@ -12,7 +12,6 @@ from ebamcheck.comparison.measure import Figures, linked_within, measure
 from ebamcheck.comparison.outline import outline, winding
 from ebamcheck.comparison.sweep import overlap
 from ebamcheck.geometry.nearest import nearest_segment
-from ebamcheck.geometry.rings import stable_order
 from ebamcheck.layers.stack import Layers, from_polygons, from_rings
 
 SQUARE = np.array([(0, 0), (10, 0), (10, 10), (0, 10)], float)
@@ -20,10 +19,6 @@ SQUARE = np.array([(0, 0), (10, 0), (10, 10), (0, 10)], float)
 
 def layer(*rings):
     return from_rings([0.0], [rings])
-
-
-def shifted(points, x_mm, y_mm=0.0):
-    return points + np.array([x_mm, y_mm])
 
 
 def figures(a: Layers, b: Layers, limit=1e-3, exact_a=False, exact_b=False, origin=(0.0, 0.0)) -> Figures:
@@ -99,52 +94,6 @@ def test_depth_from_an_exact_outline_is_the_greatest_distance_over_the_differenc
     assert mirrored.depth == pytest.approx(found.depth, abs=2e-5)
 
 
-@pytest.mark.parametrize("shift", [1e-9, 0.003, 0.5, 4.0])
-def test_shifted_squares(shift):
-    found = figures(layer(SQUARE), layer(shifted(SQUARE, shift)))
-    assert found.symmetric_difference == pytest.approx(20 * shift, rel=1e-6)
-    assert found.hausdorff_ab == found.hausdorff_ba == pytest.approx(shift)
-    assert found.depth == pytest.approx(shift / 2, abs=1e-5)
-    assert figures(layer(SQUARE), layer(shifted(SQUARE, shift)), exact_a=True).depth == pytest.approx(shift)
-    assert found.p95_ab == pytest.approx(shift, abs=1e-9)
-
-
-def test_percentile_weighs_by_length_not_by_points():
-    # 4 % of the contour, crowded with points, is 1 mm off; the rest is not.
-    base = np.array([(0, 0), (100, 0), (100, 100), (0, 100)], float)
-    crowd = np.stack([np.linspace(60, 46, 500), np.full(500, 101.0)], axis=1)
-    bumped = np.concatenate([base[:3], [(60, 100)], crowd, [(46, 100)], base[3:]])
-    found = figures(layer(base), layer(bumped))
-    assert found.p95_ba == pytest.approx(0.0, abs=1e-12)
-    assert found.hausdorff_ba == 1.0
-    longer = bumped.copy()
-    longer[[3, *range(4, 504)], 0] += np.where(longer[[3, *range(4, 504)], 0] > 50, 20, 0)
-    assert figures(layer(base), layer(longer)).p95_ba > 0.5
-
-
-def test_concentric_circles():
-    inner, outer = circle(9.0), circle(10.0)
-    found = figures(layer(inner), layer(outer), exact_b=True)
-    assert found.symmetric_difference == pytest.approx(np.pi * 19, rel=2e-5)
-    assert found.depth == pytest.approx(1.0, abs=2e-4)
-    assert found.hausdorff_ab == pytest.approx(1.0, abs=2e-4)
-    # Each ring point is level with the other's: the difference is a closed band of width 1.
-    assert figures(layer(inner), layer(outer)).depth == pytest.approx(0.5, abs=2e-4)
-
-
-def test_a_lost_wedge_tip_is_far_but_not_deep():
-    wedge = np.array([(0, -0.05), (20, 0), (0, 0.05)])
-    blunt = np.array([(0, -0.05), (10, -0.025), (10, 0.025), (0, 0.05)])
-    found = figures(layer(wedge), layer(blunt), exact_a=True)
-    assert max(found.hausdorff_ab, found.hausdorff_ba) == pytest.approx(10.0, abs=0.01)
-    assert found.depth == pytest.approx(0.025, abs=1e-4)
-
-
-def test_a_closed_slit_is_as_deep_as_half_its_width():
-    slit = np.array([(0, 0), (10, 0), (10, 4.99), (2, 4.99), (2, 5.01), (10, 5.01), (10, 10), (0, 10)], float)
-    assert figures(layer(slit), layer(SQUARE), exact_a=True).depth == pytest.approx(0.01, abs=1e-5)
-
-
 def test_a_missing_lobe_is_deep_although_the_contours_of_the_other_are_all_near():
     # The second outline ends inside the thin neck: it lies on the first everywhere, yet a lobe is gone.
     left, right = shapely.box(0, 0, 10, 10), shapely.box(20, 0, 30, 10)
@@ -175,12 +124,6 @@ def test_one_empty_layer_is_as_deep_as_the_other_is_thick(exact):
         assert found.symmetric_difference == 100.0
     nothing = figures(empty, empty)
     assert (nothing.hausdorff_ab, nothing.depth, nothing.symmetric_difference) == (0.0, 0.0, 0.0)
-
-
-def test_ridges_of_turned_rectangles_need_no_fine_search():
-    turn = np.array([[np.cos(0.3), -np.sin(0.3)], [np.sin(0.3), np.cos(0.3)]])
-    bar = np.array([(0, 0), (400, 0), (400, 3), (0, 3)], float) @ turn.T
-    assert figures(layer(bar), from_rings([0.0], [[]])).depth == pytest.approx(1.5, abs=2e-5)
 
 
 @pytest.mark.in_turn(2)
@@ -219,61 +162,6 @@ def test_measures_are_symmetric_and_do_not_depend_on_the_frame(seed):
         assert found.depth == pytest.approx(base.depth * scale, abs=2e-6 + 2e-5 * scale)
 
 
-def test_a_far_origin_costs_only_the_digits_of_the_coordinates():
-    rng = np.random.default_rng(5)
-    a, b = star(rng), star(rng)
-    near = figures(layer(a), layer(b))
-    far = figures(layer(a + 1e6), layer(b + 1e6), origin=(1e6, 1e6))
-    assert far.symmetric_difference == pytest.approx(near.symmetric_difference, abs=1e-7)
-    assert far.depth == pytest.approx(near.depth, abs=2e-5)
-
-
-def test_the_same_contour_from_two_exact_methods_differs_by_rounding_only():
-    rng = np.random.default_rng(3)
-    ring = circle(50.0, 2000)
-    found = figures(
-        layer(ring), layer(ring + rng.normal(size=ring.shape) * 1e-12), exact_a=True, exact_b=True
-    )
-    assert found.depth < 1e-11
-    assert found.symmetric_difference < 1e-8
-    same = figures(layer(ring), layer(np.roll(ring, 77, axis=0)), exact_a=True, exact_b=True)
-    assert (same.symmetric_difference, same.depth) == (0.0, 0.0)
-    assert same.hausdorff_ab < 1e-13
-
-
-def test_touching_and_overlapping_rings_are_united():
-    halves = layer(SQUARE * [0.5, 1], shifted(SQUARE * [0.5, 1], 5))
-    found = figures(halves, layer(SQUARE))
-    assert (found.area_a, found.symmetric_difference, found.depth) == (100.0, 0.0, 0.0)
-    overlapping = layer(SQUARE * [0.7, 1], shifted(SQUARE * [0.7, 1], 3))
-    assert figures(overlapping, layer(SQUARE)).symmetric_difference == pytest.approx(0.0, abs=1e-12)
-    bow = np.array([(0, 0), (4, 4), (4, 0), (0, 0), (-4, 4), (-4, 0)], float)
-    assert figures(layer(bow), layer(bow)).symmetric_difference == 0.0
-
-
-def test_thousands_of_rings():
-    cells = [shifted(SQUARE * 0.05, i, j) for i in range(50) for j in range(50)]
-    moved = [shifted(cell, 0.1) for cell in cells]
-    found = figures(layer(*cells), layer(*moved))
-    assert found.area_a == pytest.approx(2500 * 0.25)
-    assert found.symmetric_difference == pytest.approx(2500 * 0.1)
-    assert found.depth == pytest.approx(0.05, abs=1e-5)
-
-
-def test_many_crossings_in_one_slab():
-    teeth = np.arange(120.0)
-
-    def comb(slant):
-        low = np.stack([teeth, np.zeros(120)], axis=1)
-        high = np.stack([teeth + 0.5 + slant, np.full(120, 10.0)], axis=1)
-        return [np.array([a, shifted(a, 0.4), b]) for a, b in zip(low, high, strict=True)]
-
-    a, b = layer(*comb(6.0)), layer(*comb(-6.0))
-    region = [shapely.union_all(x.polygons(0)) for x in (a, b)]
-    expected = shapely.symmetric_difference(*region).area
-    assert figures(a, b).symmetric_difference == pytest.approx(expected, abs=1e-9)
-
-
 def test_open_paths_count_for_distances_and_bound_no_area():
     path = from_rings([0.0], [[]], [[[(0, 0), (10, 0), (10, 10)]]])
     found = figures(path, path)
@@ -282,23 +170,6 @@ def test_open_paths_count_for_distances_and_bound_no_area():
     found = figures(with_path, layer(SQUARE))
     assert found.hausdorff_ab == 20.0
     assert found.depth == 0.0
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_nearest_and_winding_are_those_of_plain_search(seed):
-    rng = np.random.default_rng(seed)
-    a, _, region, _ = random_pair(3 * seed + 1)
-    prepared = outline(a, 0, (0.0, 0.0))
-    for x, y in rng.uniform(-40, 40, (200, 2)):
-        square, segment = nearest_segment(prepared.tree, x, y, -1)
-        assert np.sqrt(square) == pytest.approx(shapely.Point(x, y).distance(region.boundary), abs=1e-12)
-        assert segment >= 0
-        assert (winding(rings_of(prepared), x, y) > 0) == region.contains(shapely.Point(x, y))
-
-
-def test_points_on_straight_runs_are_dropped():
-    dense = shapely.get_coordinates(shapely.segmentize(shapely.Polygon(SQUARE), 0.1))[:-1]
-    assert len(outline(layer(dense), 0, (0.0, 0.0)).segments) == 4
 
 
 def lattice_rings(rng):
@@ -382,16 +253,3 @@ def test_the_percentile_is_that_of_dense_samples(seed):
     )
     dense = np.percentile(shapely.distance(places, region_b.boundary), 95)
     assert figures(a, b).p95_ab == pytest.approx(dense, abs=0.02)
-
-
-def test_rising_order_is_the_stable_one():
-    rng = np.random.default_rng(0)
-    for values in (
-        np.zeros(0),
-        np.ones(5),
-        rng.integers(0, 9, 200),
-        np.arange(50)[::-1],
-        rng.normal(size=999),
-    ):
-        column = values.astype(float)
-        assert stable_order(column).tolist() == np.argsort(column, kind="stable").tolist()

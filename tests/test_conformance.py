@@ -14,15 +14,13 @@ import oracle
 import pytest
 from broken_backends import FAULTS
 from fake_distribution import environment
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from ebamcheck.commands.accuracy import conform_command
 from ebamcheck.errors import BackendMissing, SettingsError
 from ebamcheck.plugins import registry
 from ebamcheck.plugins.registry import models
 from ebamcheck.testing import CHECKS, Figure, SlicerSuite, Subject, conform, examine, markdown_table, solids
-from ebamcheck.testing.solids import house_rule, section, winding_rule
+from ebamcheck.testing.solids import house_rule, section
 from ebamcheck.testing.subject import generic_heights
 from ebamcheck_embree import Embree
 from ebamcheck_manifold import ManifoldCut
@@ -145,16 +143,6 @@ def test_solids_of_the_kit_are_closed_and_outward():
         assert np.array_equal(part.bounds, solids.frame().bounds)
 
 
-@given(st.integers(-5, 9))
-@settings(derandomize=True, max_examples=15)
-def test_winding_rules(count):
-    assert winding_rule("winding > 0")(count) == (count > 0)
-    assert winding_rule("winding != 0")(count) == (count != 0)
-    assert winding_rule("odd")(count) == (count % 2 != 0)
-    assert winding_rule("1..2")(count) == (1 <= count <= 2)
-    assert winding_rule("whatever fits") is None
-
-
 def test_a_figure_that_is_no_number_is_a_violation():
     assert Figure("a", "b", 0, float("nan"), 1.0).violated
     assert not Figure("a", "b", 0, 1.0, 1.0).violated
@@ -211,15 +199,6 @@ def test_the_markdown_table_marks_faults_and_what_does_not_apply():
     bad = examine(FAULTS["reversed-orientation"].slicer, [CHECK["orientation"], CHECK["bound not idle"]])
     rows = markdown_table([good, bad]).splitlines()[2:]
     assert rows == ["| orientation | pass | FAIL (6 of 6) |", "| bound not idle | - | - |"]
-
-
-@pytest.mark.slow
-def test_the_kit_needs_pytest_only_for_its_class():
-    code = (
-        "import sys; import ebamcheck.testing as t; t.conform; t.CHECKS; assert 'pytest' not in sys.modules; "
-        "t.SlicerSuite; assert 'pytest' in sys.modules"
-    )
-    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 # -- a plugin from outside -----------------------------------------------------------------------------

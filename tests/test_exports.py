@@ -68,32 +68,6 @@ def test_vtp_of_layers_has_every_ring(layers: Layers, tmp_path: Path, closed_onl
         assert (arrays["Points"][line, 2] == stack.heights[stack.ring_layer[r]]).all()
 
 
-def test_vtp_of_a_part_has_its_facets(tmp_path: Path) -> None:
-    part = BLADE.tessellate(0.5)
-    arrays = vtp_arrays(ebamcheck.save(part, tmp_path / "a.vtp"))
-    np.testing.assert_array_equal(arrays["Points"], part.vertices)
-    np.testing.assert_array_equal(arrays["connectivity"].reshape(-1, 3), part.faces)
-    np.testing.assert_array_equal(np.diff(arrays["offsets"], prepend=0), 3)
-
-
-def test_vtk_reads_what_we_write(layers: Layers, tmp_path: Path) -> None:
-    vtk = pytest.importorskip("vtk", reason="vtk is not installed")
-
-    def read(path: Path) -> Any:
-        reader = vtk.vtkXMLPolyDataReader()
-        reader.SetFileName(str(path))
-        reader.Update()
-        return reader.GetOutput()
-
-    part = BLADE.tessellate(0.5)
-    mass = vtk.vtkMassProperties()
-    mass.SetInputData(read(ebamcheck.save(part, tmp_path / "part.vtp")))
-    assert mass.GetVolume() == pytest.approx(part.volume, rel=1e-9)
-    found = read(ebamcheck.save(layers, tmp_path / "layers.vtp"))
-    assert found.GetNumberOfLines() == layers.closed.size
-    assert found.GetNumberOfPoints() == len(layers.points)
-
-
 @pytest.mark.parametrize("stack", ["blade", "open"])
 def test_dxf_is_what_ezdxf_reads(stack: str, layers: Layers, tmp_path: Path) -> None:
     ezdxf = pytest.importorskip("ezdxf", reason="ezdxf is not installed")
@@ -114,14 +88,6 @@ def test_dxf_is_what_ezdxf_reads(stack: str, layers: Layers, tmp_path: Path) -> 
         np.testing.assert_allclose(points[:, 2], chosen.heights[layer], atol=1e-6)
     if stack == "open":
         assert [line.dxf.color for line in lines] == [5, 6]
-
-
-def test_dxf_is_pairs_of_codes_and_values(layers: Layers, tmp_path: Path) -> None:
-    text = ebamcheck.save(layers, tmp_path / "a.dxf").read_text(encoding="ascii").splitlines()
-    pairs = list(zip(text[::2], text[1::2], strict=True))
-    assert all(code.strip().isdigit() for code, _ in pairs)
-    assert pairs[-1] == ("0", "EOF")
-    assert sum(pair == ("0", "VERTEX") for pair in pairs) == len(layers.points)
 
 
 @pytest.mark.parametrize("with_mesh", [True, False])

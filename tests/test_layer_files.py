@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pyarrow as pa
@@ -12,6 +13,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from ebamcheck.columns_file import (
+    ReadTable,
+    arrow_columns,
+    labelled,
+    labels_of,
+    open_table,
+    readable,
+    starts_of,
+    write_table,
+)
 from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.layers import files as layer_files
 from ebamcheck.layers.stack import Layers, canonical, from_rings
@@ -61,26 +72,6 @@ def test_parquet_gives_every_bit_back(tmp_path, count, edges):
     assert_same(layer_files.read_layers(tmp_path / "a.parquet"), layers)
 
 
-@settings(max_examples=30, deadline=None)
-@given(st.integers(0, 10**6), st.integers(0, 12), st.booleans())
-def test_record_batches_give_every_bit_back(seed, count, edges):
-    layers = random_layers(seed, count, edges)
-    assert_same(layer_files.from_arrow(layer_files.to_arrow(layers)), layers)
-
-
-def test_a_slice_of_a_batch_is_a_block_of_layers():
-    layers = random_layers(3, 20)
-    batch = layer_files.to_arrow(layers)
-    assert_same(layer_files.from_arrow(batch.slice(5, 9)), layers.block(5, 14))
-
-
-def test_negative_zero_and_subnormal_numbers_survive(tmp_path):
-    points = np.array([(-0.0, 5e-324), (1.0, -0.0), (0.0, 1.7976931348623157e308)])
-    layers = Layers(np.array([-0.0]), points, np.array([0, 3]), np.array([0, 1]), np.array([True]))
-    layer_files.write_parquet(layers, tmp_path / "a.parquet")
-    assert layer_files.read_parquet(tmp_path / "a.parquet").points.tobytes() == points.tobytes()
-
-
 @pytest.mark.parametrize("edges", [True, False])
 def test_blocks_of_a_file_join_to_the_stack(tmp_path, edges):
     layers = random_layers(5, 30)
@@ -105,20 +96,6 @@ def test_same_layers_same_bytes(tmp_path):
     assert (tmp_path / "a.parquet").read_bytes() == (tmp_path / "b.parquet").read_bytes()
 
 
-def test_other_programs_read_the_table(tmp_path):
-    layers = random_layers(2, 6)
-    layer_files.write_parquet(layers, tmp_path / "a.parquet")
-    table = pq.read_table(tmp_path / "a.parquet")
-    row = table.to_pylist()[4]
-    rings = layers.rings_of(4)
-    assert row["height_mm"] == layers.heights[4]
-    assert [len(x) for x in row["x"]] == [len(layers.ring(r)) for r in rings]
-    assert [list(zip(x, y, strict=True)) for x, y in zip(row["x"], row["y"], strict=True)] == [
-        [tuple(p) for p in layers.ring(r).tolist()] for r in rings
-    ]
-    assert row["closed"] == layers.closed[list(rings)].tolist()
-
-
 def test_every_truncation_of_a_file_is_refused_and_named(tmp_path):
     layer_files.write_parquet(random_layers(1, 4), tmp_path / "a.parquet")
     whole = (tmp_path / "a.parquet").read_bytes()
@@ -126,16 +103,6 @@ def test_every_truncation_of_a_file_is_refused_and_named(tmp_path):
         (tmp_path / "cut").write_bytes(whole[:size])
         with pytest.raises(InputError, match="cut"):
             layer_files.read_parquet(tmp_path / "cut")
-
-
-def test_a_flipped_bit_in_the_points_is_found(tmp_path):
-    layers = random_layers(4, 30)
-    layer_files.write_parquet(layers, tmp_path / "a.parquet")
-    data = bytearray((tmp_path / "a.parquet").read_bytes())
-    data[len(data) // 3] ^= 4
-    (tmp_path / "b.parquet").write_bytes(bytes(data))
-    with pytest.raises(InputError, match=r"b\.parquet"):
-        layer_files.read_parquet(tmp_path / "b.parquet")
 
 
 def damaged(tmp_path, change):
@@ -178,13 +145,6 @@ def test_a_wrong_table_is_refused_and_the_message_says_why(tmp_path, says):
         layer_files.read_parquet(damaged(tmp_path, CASES[says]))
     assert "bad.parquet" in str(caught.value)
     assert "\n" not in str(caught.value)
-
-
-def test_missing_and_foreign_files_are_refused(tmp_path):
-    (tmp_path / "text.parquet").write_text("not a table")
-    for name in ("none.parquet", "text.parquet"):
-        with pytest.raises(InputError, match=name):
-            layer_files.read_parquet(tmp_path / name)
 
 
 def test_unknown_suffixes_and_folders_are_refused(tmp_path):
@@ -304,3 +264,59 @@ def test_a_table_of_contours_with_a_wrong_row_is_refused(tmp_path, change, said)
     file.write_text(text.replace(*change))
     with pytest.raises(InputError, match=said):
         layer_files.read_layers(file)
+
+
+# -- tables of nested columns ---------------------------------------------------------------------------------
+
+
+ITEMS = {np.float64: pa.float64(), np.int32: pa.int32(), np.uint8: pa.uint8(), np.bool_: pa.bool_()}
+LISTS = st.lists(st.sampled_from([pa.list_, pa.large_list]), max_size=3)
+
+
+def split(values: list, starts: list) -> list:
+    """Lists of a flat column, by Python's own slices."""
+    for level in reversed(starts):
+        values = [values[a:b] for a, b in zip(level[:-1].tolist(), level[1:].tolist(), strict=True)]
+    return values
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    seed=st.integers(0, 10**6),
+    rows=st.integers(0, 6),
+    lists=LISTS,
+    item=st.sampled_from(sorted(ITEMS, key=str)),
+)
+def test_arrow_reads_the_lists_and_every_bit_comes_back(seed, rows, lists, item):
+    rng = np.random.default_rng(seed)
+    kind = ITEMS[item]
+    starts, count = [], rows
+    for level in lists:
+        kind = level(kind)
+        starts.append(starts_of(rng.integers(0, 4, count)))
+        count = int(starts[-1][-1])
+    values = (1000.0 * rng.normal(size=count)).astype(item)
+    arrays = arrow_columns({"c": (values, *starts)}, {"c": kind})
+    assert arrays["c"].type == kind
+    assert arrays["c"].to_pylist() == split(values.tolist(), starts)
+    for table in (pa.table(arrays), pa.concat_tables([pa.table(arrays).slice(k, 1) for k in range(rows)] or [pa.table(arrays)])):  # fmt: skip
+        read, found = ReadTable(table, "here").nested("c", kind)
+        assert read.dtype == values.dtype
+        assert read.tobytes() == values.tobytes()
+        assert [f.tolist() for f in found] == [s.tolist() for s in starts]
+
+
+def test_labels_come_back_and_another_version_or_label_is_refused(tmp_path):
+    value = SimpleNamespace(part="p", direction=(0.0, 0.6, 0.8), settings={"a": [1, "b"]})
+    names = ("part", "direction", "settings")
+    table = pa.table({"z": pa.array([1.0])}).replace_schema_metadata(labelled(value, "layers", "1", names))
+    write_table(table, tmp_path / "t.parquet")
+    with readable(tmp_path / "t.parquet"), open_table(tmp_path / "t.parquet") as file:
+        schema = file.schema_arrow
+    assert labels_of(schema, "layers", "1", names, "t") == vars(value)
+    with pytest.raises(InputError, match=r"has version '1' under .*reads layers of version '2'"):
+        labels_of(schema, "layers", "2", names, "t")
+    with pytest.raises(InputError, match=r"t: has no version under 'ebamcheck\.curves\.version'"):
+        labels_of(schema, "curves", "1", names, "t")
+    with pytest.raises(InputError, match="labels cannot be read: KeyError: 'method'"):
+        labels_of(schema, "layers", "1", ("method",), "t")

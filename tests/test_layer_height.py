@@ -56,14 +56,6 @@ def test_a_box_of_any_height_gets_layers_that_end_at_its_top(top_mm):
     assert found.fitted == (not solid(part, Config()).passed)
 
 
-def test_no_height_that_is_nearer_would_do():
-    near = nearest_fitting(MUSHROOM, Config())
-    assert near.height_mm == 1.5
-    assert share_off(MUSHROOM, Config().changed(layers={"layer_height_mm": near.height_mm})) <= 0.02
-    for between in (1.55, 1.6, 1.65, 1.7, 1.75, 1.8):
-        assert not solid(MUSHROOM, Config().changed(layers={"layer_height_mm": between})).passed
-
-
 def test_metal_within_the_allowance_for_machining_moves_nothing():
     # The foot ends 0.2 mm short at a bead's height; layers of 1.7 mm mend that, and go 0.7 mm beyond the smaller top.
     config = Config().changed(process={"machining_allowance_mm": 1.0})
@@ -115,11 +107,3 @@ def test_a_run_takes_it_tells_it_and_is_verified(tmp_path):
     assert ebamcheck("post", "r", "-o", "away", cwd=tmp_path).returncode == 0
     alone = ebamcheck("verify", "away", "--part", "box.stl", "--json", cwd=tmp_path)
     assert [check["name"] for check in json.loads(alone.stdout) if not check["passed"]] == []
-
-
-def test_a_run_that_may_not_is_shut(tmp_path):
-    write_stl(box((0, 0, 0), (24, 24, 7)), tmp_path / "box.stl")
-    (tmp_path / "ebamcheck.toml").write_text("layers.fit_height = false\n")
-    done = ebamcheck("run", "box.stl", "--backends", FAST, "-o", "r", cwd=tmp_path)
-    assert done.returncode == 1
-    assert "layers of 1.75 mm (layers.layer_height_mm) leave 0.00 %" in done.stdout

@@ -2,10 +2,18 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from parts import box, join, sphere, tilted, torus
 
-from ebamcheck.layers.stack import canonical, concatenate, from_polygons, from_rings, stacked
+import ebamcheck
+from ebamcheck.layers.heights import LARGEST_BLOCK, crossing_counts, layer_blocks
+from ebamcheck.layers.stack import concatenate, from_rings, stacked
+from ebamcheck.mesh.part import from_arrays
 from ebamcheck.slicers.slicing import slice_part
 from ebamcheck_models import MODELS
 
@@ -33,22 +41,21 @@ def test_repeated_points_go_and_rings_without_area_are_counted():
     assert layers.areas().tolist() == [32.0]
 
 
-def test_measures_of_a_square_with_a_hole_and_an_open_path():
-    layers = from_rings([1.0, 2.0], [[SQUARE, HOLE], []], [[[(9, 9), (10, 9)]], []])
-    assert layers.areas().tolist() == [15.0, 0.0]
-    assert layers.perimeters().tolist() == [20.0, 0.0]
-    assert layers.ring_counts().tolist() == [2, 0]
-    assert layers.hole_counts().tolist() == [1, 0]
+def test_measures_of_a_square_with_two_holes_and_an_open_path():
+    layers = from_rings([1.0, 2.0], [[SQUARE, HOLE, HOLE + 1.5], []], [[[(9, 9), (10, 9)]], []])
+    assert layers.areas().tolist() == [14.0, 0.0]
+    assert layers.perimeters().tolist() == [24.0, 0.0]
+    assert layers.ring_counts().tolist() == [3, 0]
+    assert layers.hole_counts().tolist() == [2, 0]
     assert layers.open_counts().tolist() == [1, 0]
     (polygon,) = layers.polygons(0)
-    assert polygon.area == 15.0
-    assert len(polygon.interiors) == 1
+    assert polygon.area == 14.0
+    assert len(polygon.interiors) == 2
     assert layers.polygons(1) == []
 
 
-def test_area_keeps_its_digits_far_from_the_origin():
-    far = from_rings([0.0], [[SQUARE + 2.0**30]])
-    assert far.areas().tolist() == [16.0]
+def test_a_ring_in_one_that_is_inside_out_bounds_nothing():
+    assert from_rings([0.0], [[SQUARE[::-1] * 2.0 - 2.0, SQUARE]]).polygons(0) == []
 
 
 def test_nesting_finds_the_smallest_enclosing_ring():
@@ -73,57 +80,6 @@ def test_take_block_and_concatenate_agree():
     assert taken.areas().tolist() == layers.areas()[[2, 0, 2]].tolist()
 
 
-def test_polygons_round_trip():
-    layers = from_rings([0.0], [[SQUARE, HOLE]])
-    again = from_polygons([0.0], [layers.polygons(0)])
-    assert np.array_equal(again.points, layers.points)
-    assert np.array_equal(again.ring_starts, layers.ring_starts)
-
-
-def test_a_ring_that_touches_itself_starts_the_same_from_any_of_its_points():
-    bow = np.array([(0, 0), (1, -1), (2, 0), (0, 0), (2, 3), (1, 4)], float)
-    forms = {
-        canonical([0], np.roll(bow, s, axis=0), [0, 6], [0, 1], [True]).points.tobytes() for s in range(6)
-    }
-    assert len(forms) == 1
-
-
-def test_rings_of_a_crowded_layer_stand_as_a_plain_sort_would_have_them():
-    rng = np.random.default_rng(6)
-    # Many start at the same point, and many of those go on to the same one.
-    rings = [
-        np.array([(0, 0), (1, 0), (1, 1), (0, 1)][: rng.integers(3, 5)], float) * rng.integers(1, 4)
-        + rng.integers(0, 4, 2)
-        for _ in range(500)
-    ]
-    layers = from_rings([1.0, 2.0], [rings[:490], rings[490:]])
-    for k, members in ((0, rings[:490]), (1, rings[490:])):
-        expected = sorted(members, key=lambda ring: (*ring[0], *ring[1], len(ring)))
-        assert [layers.ring(r).tolist() for r in layers.rings_of(k)] == [r.tolist() for r in expected]
-
-
-@pytest.mark.parametrize("threads", ["1", "3"])
-def test_columns_follow_their_points_into_canonical_form(threads, monkeypatch):
-    monkeypatch.setenv("EBAMCHECK_THREADS", threads)
-    rng = np.random.default_rng(8)
-    count = 400
-    angle = (np.arange(12) * 2 * np.pi / 12).repeat(2)  # every point twice
-    rings = [
-        np.roll(np.stack([np.cos(angle), np.sin(angle)], 1).round(2), rng.integers(24), axis=0) + 3.0 * i
-        for i in rng.permutation(count)
-    ]
-    points = np.concatenate(rings)
-    rows = np.arange(len(points), dtype=np.int32)
-    layers = canonical(
-        [1.0], points, np.arange(count + 1) * 24, [0, count], np.ones(count, bool),
-        edge=np.stack([rows, -rows], 1), edge_t=rows * 0.5,
-    )  # fmt: skip
-    assert len(layers.points) == 12 * count
-    assert np.array_equal(points[layers.edge[:, 0]], layers.points)
-    assert np.array_equal(layers.edge[:, 1], -layers.edge[:, 0])
-    assert np.array_equal(layers.edge_t, layers.edge[:, 0] * 0.5)
-
-
 def test_blocks_that_are_stacked_as_they_come_are_the_whole():
     whole = slice_part(MODELS["torus"].tessellate(0.5), [-3.0, -1.0, 1.0, 3.0], "planecut")
     blocks = (whole.block(k, k + 1) for k in range(len(whole)))
@@ -131,3 +87,46 @@ def test_blocks_that_are_stacked_as_they_come_are_the_whole():
     assert found.edge is None
     for name in ("heights", "points", "ring_starts", "layer_starts", "closed", "dropped"):
         assert np.array_equal(getattr(found, name), getattr(whole, name)), name
+
+
+# -- heights of layers, and blocks of them that fit in memory -------------------------------------------------
+
+
+PARTS = {"sphere": sphere(10.0, 24), "torus": tilted(torus()), "two": join(box(), box((0, 0, 5), (1, 1, 9)))}
+
+
+@pytest.mark.parametrize("name", PARTS)
+def test_the_facets_that_a_plane_crosses_are_the_points_of_its_contours(name):
+    part = PARTS[name]
+    heights = ebamcheck.layer_heights(part, part.size[2] / 37.3)
+    layers = ebamcheck.slice(part, heights, backend="planecut")
+    points = np.diff(layers.ring_starts[layers.layer_starts])
+    assert crossing_counts(part, heights).tolist() == points.tolist()
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 10**6), st.integers(1, 400), st.integers(0, 300))
+def test_blocks_cover_every_layer_once_and_stay_under_the_limit(seed, most, count):
+    rng = np.random.default_rng(seed)
+    facets = rng.uniform(-5, 5, (60, 3, 3))
+    part = from_arrays(facets.reshape(-1, 3), np.arange(180).reshape(60, 3))
+    heights = np.sort(rng.uniform(-6, 6, count))
+    borders = layer_blocks(part, heights, most)
+    crossed = crossing_counts(part, heights)
+    assert (borders[0], borders[-1]) == (0, count)
+    for a, b in itertools.pairwise(borders.tolist()):
+        assert b > a or count == 0
+        assert crossed[a:b].sum() <= most or b - a == 1
+        # No block could have taken the next layer, too.
+        assert b == count or crossed[a : b + 1].sum() > most
+
+
+def test_empty_layers_are_cut_into_blocks_too():
+    """A gap of air may be higher than the part."""
+    part = join(box((0, 0, 0), (1, 1, 1)), box((0, 0, 1e4), (1, 1, 1e4 + 1)))
+    borders = layer_blocks(part, np.arange(0.5, 1e4, 1.0), 1_000_000)
+    assert np.diff(borders).max() == LARGEST_BLOCK
+
+
+def test_no_layers_are_one_empty_block():
+    assert layer_blocks(PARTS["sphere"], [], 1000).tolist() == [0, 0]

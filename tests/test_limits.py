@@ -91,7 +91,7 @@ NO_LIMITS = {
 
 # Settings that other gates, or other checks, rest on
 NOT_JUDGED_HERE = {
-    "comparison.tolerance_mm", "comparison.evidence_share", "comparison.doubt_mm",  # of slicers: test_comparison.py, test_doubt.py
+    "comparison.tolerance_mm", "comparison.evidence_share", "comparison.doubt_mm",  # of slicers: test_comparison.py
     "curves.largest_lift_mm", "curves.largest_bulge_mm",  # of curves: test_curve_evidence.py
     "process.melting_efficiency", "process.dilution",  # data of the process: test_interpass.py
 }  # fmt: skip

@@ -5,15 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import shapely
-from corpus_sections import simple_sections
 from parts import box, join, moved, sphere, tilted, torus, turn_z, welded
-from section_oracle import depth_beyond, exact_section, prism, rational_area
+from section_oracle import simple_sections
 
 import ebamcheck
 from ebamcheck.errors import BackendFailed
-from ebamcheck.layers.stack import concatenate
 from ebamcheck.mesh.part import from_arrays
-from ebamcheck_manifold import MOST_REGIONS, ManifoldCut, _boxes
+from ebamcheck.testing.solids import prism
+from ebamcheck_manifold import ManifoldCut, _boxes
 
 SLICER = ManifoldCut()
 SETTINGS = SLICER.Settings()
@@ -27,11 +26,6 @@ def cut(part, heights, progress=None):
         return prepared.slice(np.atleast_1d(np.asarray(heights, float)), progress)
 
 
-def heights_in(part, count=7):
-    low, high = part.bounds[:, 2]
-    return low + (high - low) * (np.arange(count) + 0.37) / count
-
-
 PLATE = shapely.box(0, 0, 30, 20).difference(shapely.Point(12, 9).buffer(5))
 
 PARTS = {
@@ -42,25 +36,6 @@ PARTS = {
     "prism with hole": prism(PLATE, 0.0, 4.0),
     "tilted prism": tilted(prism(PLATE, 0.0, 4.0)),
 }
-
-
-@pytest.mark.parametrize("name", PARTS)
-def test_area_is_that_of_rational_arithmetic(name):
-    part = PARTS[name]
-    layers = cut(part, heights_in(part))
-    bound = SLICER.error_bound_mm(part, SETTINGS)
-    for k, z in enumerate(layers.heights):
-        assert abs(layers.areas()[k] - rational_area(part, z)) <= bound * layers.perimeters()[k]
-
-
-@pytest.mark.parametrize("name", PARTS)
-def test_region_keeps_the_bound(name):
-    part = PARTS[name]
-    layers = cut(part, heights_in(part, 3))
-    for k, z in enumerate(layers.heights):
-        found = shapely.union_all(layers.polygons(k))
-        assert found.symmetric_difference(exact_section(part, z)).buffer(-1e-7).is_empty
-        assert depth_beyond(found, exact_section(part, z), 1e-6) == 0.0
 
 
 def test_bottom_is_cut_and_top_is_not_to_the_last_bit():
@@ -77,34 +52,6 @@ def test_half_open_rule_far_from_the_origin(shift):
     heights = np.unique(np.concatenate([z, np.nextafter(z, -np.inf), np.nextafter(z, np.inf)]))
     expected = [4.0 * (z[0] <= h < z[2]) + 1.0 * (z[1] <= h < z[3]) for h in heights]
     assert cut(part, heights).areas() == pytest.approx(expected, abs=1e-8)
-
-
-def test_vertex_in_the_plane():
-    part = sphere(10.0)
-    ring_z = np.unique(part.vertices[:, 2])
-    layers = cut(part, ring_z)
-    expected = [rational_area(part, z) for z in ring_z]
-    assert layers.areas() == pytest.approx(expected, rel=1e-9)
-    assert layers.ring_counts().tolist() == [0] + [1] * (len(ring_z) - 2) + [0]  # the poles are points
-    touching = join(box((0, 0, 0), (1, 1, 1)), box((0, 0, 1), (2, 1, 3)))
-    assert cut(touching, [0.5, 1.0, 2.0]).areas().tolist() == [1.0, 2.0, 2.0]
-
-
-@pytest.mark.parametrize("shift", [0.0, 1e6])
-def test_scale_and_place_keep_the_digits(shift):
-    for scale in (1e-3, 1.0, 1e3):
-        part = moved(tilted(box((0, 0, 0), (3, 2, 1))), matrix=np.eye(3) * scale, shift=(shift,) * 3)
-        heights = heights_in(part, 3)
-        expected = [rational_area(part, z) for z in heights]
-        assert cut(part, heights).areas() == pytest.approx(expected, rel=1e-6 if shift else 1e-9)
-
-
-def test_overlapping_shells_unite_and_nested_ones_stay_solid():
-    two = join(box(), moved(box(), shift=(1, 1, 0.5)))
-    assert cut(two, [0.2, 1.0, 2.2]).areas() == pytest.approx([4.0, 7.0, 4.0], rel=1e-9)
-    nested = join(box((0, 0, 0), (9, 9, 9)), box((2, 2, 2), (4, 4, 4)))
-    assert cut(nested, [3.0]).areas() == pytest.approx([81.0])
-    assert cut(nested, [3.0]).ring_counts().tolist() == [1]
 
 
 BLOCK = box((0, 0, 0), (40, 30, 20))
@@ -199,57 +146,11 @@ def test_the_declared_bound_holds_for_a_turned_edge(thickness_mm, lean):
     assert region["bound_mm"] <= 8.0 * apart  # not idle
 
 
-def test_declared_boxes_are_few_and_hold_all_changed_facets():
-    triangles = np.random.default_rng(3).random((100, 3, 3)) + np.arange(100)[:, None, None]
-    found = _boxes(triangles, np.arange(100) < 50)
-    boxes = np.array([region["box_mm"] for region in found])
-    assert len(found) == MOST_REGIONS
-    held = (
-        (boxes[:, None, :3] <= triangles.min(axis=1)) & (triangles.max(axis=1) <= boxes[:, None, 3:])
-    ).all(axis=2)
-    assert held.any(axis=0).all()
-
-
 def test_facets_without_area_do_not_make_a_part_refused():
     whole = box()
     faces = np.concatenate([whole.faces, [(0, 0, 1), (3, 3, 3)]])
     part = ebamcheck.mesh.part.from_arrays(whole.vertices, faces)
     assert cut(part, [1.0]).areas().tolist() == [4.0]
-
-
-def test_released_part_is_not_sliced():
-    with SLICER.prepare(box(), SETTINGS) as prepared:
-        pass
-    with pytest.raises(BackendFailed, match="prepare it again"):
-        prepared.slice(np.array([1.0]))
-
-
-def test_a_layer_does_not_depend_on_the_others():
-    part = tilted(torus())
-    heights = heights_in(part, 12)
-    whole = cut(part, heights)
-    pieces = concatenate([cut(part, heights[:5]), cut(part, heights[5:6]), cut(part, heights[6:])])
-    for column in ("heights", "points", "ring_starts", "layer_starts", "dropped"):
-        assert np.array_equal(getattr(whole, column), getattr(pieces, column))
-    done = []
-    cut(part, heights, done.append)
-    assert sum(done) == len(heights)
-
-
-@pytest.mark.parametrize("block", [1, 64, 90])
-def test_consecutive_blocks_of_one_prepared_part_are_the_whole_stack(block):
-    part = tilted(torus())
-    heights = np.linspace(*part.bounds[:, 2], 150)
-    with SLICER.prepare(part, SETTINGS) as prepared:
-        whole = prepared.slice(heights)
-        blocks = concatenate([prepared.slice(heights[a : a + block]) for a in range(0, len(heights), block)])
-    for column in ("heights", "points", "ring_starts", "layer_starts", "closed", "dropped"):
-        assert np.array_equal(getattr(whole, column), getattr(blocks, column))
-
-
-def test_no_heights_and_heights_beyond_the_part():
-    assert len(cut(box(), [])) == 0
-    assert cut(box(), [-3.0, 7.0]).ring_counts().tolist() == [0, 0]
 
 
 @pytest.mark.corpus

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from fractions import Fraction
 
@@ -18,7 +17,6 @@ from ebamcheck.plugins import registry
 from ebamcheck.testing.solids import revolved, sphere, steps, torus
 
 EXACT = ("planecut", "manifold")
-SAMPLED = ("stencil", "embree")
 
 
 def usable(name):
@@ -190,74 +188,6 @@ def test_points_lie_within_the_bound_of_the_exact_contours(name, backend):
         cut = oracle.section(part.vertices, part.faces, z)
         for x, y in layers.points[row_layer == k][:40]:
             assert oracle.square_distance(cut, x, y) <= bound**2, (z, x, y)
-
-
-@pytest.mark.in_turn(5)
-@pytest.mark.parametrize("backend", SAMPLED)
-@pytest.mark.parametrize("name", ["tilted box", "spiked", "torus on its rim", "cavity", "hull 5", "hulls 1"])
-def test_points_deeper_than_the_bound_are_on_the_right_side(name, backend):
-    part = (SOLIDS | OVERLAPPING)[name]
-    slicer = usable(backend)
-    bound = slicer.error_bound_mm(part, registry.slicer_settings(backend, {}))
-    levels = np.unique(part.vertices[:, 2])
-    heights = levels[:-1] + 0.37 * np.diff(levels)
-    heights = heights[np.diff(levels) > 1e-3][:4]
-    layers = ebamcheck.slice(part, heights, backend=backend)
-    # Points just deeper than the bound, beside the contours found: there a wrong one would be.
-    rng = np.random.default_rng(7)
-    for k, z in enumerate(heights):
-        cut = oracle.section(part.vertices, part.faces, z)
-        rows = np.concatenate([layers.ring(r) for r in layers.rings_of(k)])
-        chosen = rows[rng.integers(len(rows), size=40)]
-        angle = rng.uniform(0.0, 2.0 * np.pi, 40)
-        points = chosen + 2.05 * bound * np.column_stack([np.cos(angle), np.sin(angle)])
-        inside, _ = membership(layers, k, points)
-        checked = 0
-        for (x, y), found in zip(points.tolist(), inside, strict=True):
-            if oracle.square_distance(cut, x, y) > Fraction(bound) ** 2:
-                checked += 1
-                assert found == oracle.inside(cut, x, y), (z, x, y)
-        assert checked > 5
-
-
-def test_the_oracle_itself_on_a_box_and_on_the_rules():
-    part = box((0, 0, 0), (2, 3, 4))
-    for z, area in ((-1, 0), (0, 6), (1, 6), (4, 0)):
-        cut = oracle.section(part.vertices, part.faces, z)
-        assert oracle.signed_area(cut) == area
-        assert len(oracle.rings(cut)) == (area > 0)
-        assert oracle.winding(cut, 1, 1) == (area > 0)
-        assert oracle.winding(cut, 3, 1) == 0
-    cut = oracle.section(part.vertices, part.faces, 1)
-    assert oracle.winding(cut, 0, 1) is None
-    assert oracle.winding(cut, 2, 3) is None
-    assert oracle.square_distance(cut, -1, -1) == 2
-    assert oracle.square_distance(cut, 1, 1) == 1
-    inverted = part.reversed()
-    assert oracle.winding(oracle.section(inverted.vertices, inverted.faces, 1), 1, 1) == -1
-    twice = join(part, part)
-    assert oracle.winding(oracle.section(twice.vertices, twice.faces, 1), 1, 1) == 2
-
-
-@pytest.mark.in_turn(3)
-@pytest.mark.parametrize("name", SOLIDS)
-def test_the_oracle_keeps_the_laws(name):
-    """The integral of areas is the volume, without any rounding."""
-    part = SOLIDS[name]
-    corners = [tuple(Fraction(c) for c in v) for v in part.vertices.tolist()]
-    six = Fraction(0)
-    for i, j, k in part.faces.tolist():
-        (ax, ay, az), (bx, by, bz), (cx, cy, cz) = corners[i], corners[j], corners[k]
-        six += ax * (by * cz - bz * cy) - ay * (bx * cz - bz * cx) + az * (bx * cy - by * cx)
-    levels = sorted({v[2] for v in corners})
-    if len(levels) > 12:
-        pytest.skip("too many levels for rational arithmetic")
-    total = Fraction(0)
-    for low, high in itertools.pairwise(levels):
-        quarters = [low + (high - low) * Fraction(n, 4) for n in (1, 2, 3)]
-        a, b, c = (oracle.signed_area(oracle.section(part.vertices, part.faces, z)) for z in quarters)
-        total += (high - low) * (2 * a - b + 2 * c) / 3  # Milne's open rule, exact for cubic polynomials
-    assert total == six / 6
 
 
 def test_polygons_of_an_outline_and_the_same_hole():

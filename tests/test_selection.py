@@ -5,30 +5,25 @@ from __future__ import annotations
 import tomllib
 
 import pytest
-import tomlkit
 from hypothesis import given
 from hypothesis import strategies as st
 from parts import box
 
 from ebamcheck.accuracy.selection import (
-    ACCURACY_LAYERS,
     TIE_SHARE,
     Trial,
     choose,
     ranked,
     try_backends,
-    unfit,
     workpiece_of_model,
-    workpiece_of_part,
     write_choice,
 )
 from ebamcheck.commands.accuracy import select
-from ebamcheck.errors import BackendMissing, ExitCode, SettingsError
-from ebamcheck.pipeline import run_job
+from ebamcheck.errors import ExitCode, SettingsError
 from ebamcheck.plugins.registry import models
 from ebamcheck.settings.checking import as_toml
 from ebamcheck.settings.config import Config, load_config
-from ebamcheck.settings.stages import MACHINE_VARIABLE, MachineChoice, for_this_machine, machine_name
+from ebamcheck.settings.stages import MACHINE_VARIABLE, for_this_machine
 from ebamcheck_models import write_stl
 
 USER_FILE = """\
@@ -71,19 +66,9 @@ def test_the_fastest_that_meets_the_tolerance_is_chosen_and_every_other_has_its_
     assert choose(TRIALS, 0.3).primary == "fast"
 
 
-def test_a_measured_error_counts_as_the_bound_does_and_an_unknown_one_is_no_pass():
-    assert "measured error of 0.5 mm" in unfit(trial("a", measured_mm=0.5), 0.1)
-    assert "not known" in unfit(trial("a", measured_mm=float("nan")), 0.1)
-
-
 def test_a_tie_goes_by_priority_and_then_by_name():
     tied = [trial("b", 1.0), trial("a", 1.05), trial("c", 1.09, priority=1), trial("d", 1.2, priority=9)]
     assert [t.name for t in ranked(tied)] == ["c", "a", "b", "d"]
-
-
-def test_without_a_fit_slicer_nothing_is_chosen():
-    choice = choose(TRIALS, 1e-6)
-    assert (choice.primary, choice.required) == ("", ())
 
 
 @given(st.lists(st.tuples(st.floats(0.01, 9.0), st.integers(0, 3)), min_size=1, max_size=6), st.randoms())
@@ -130,12 +115,6 @@ def test_the_command_chooses_on_a_part_and_writes_the_machines_section(tmp_path,
     assert "[slicing] # ours" in config.read_text()
 
 
-def test_a_long_part_is_judged_on_some_layers_and_timed_on_all():
-    work = workpiece_of_part(box(upper=(5.0, 5.0, 100.0)), 0.5)
-    assert (len(work.judged), len(work.timed)) == (ACCURACY_LAYERS, 200)
-    assert set(work.judged.tolist()) <= set(work.timed.tolist())
-
-
 def test_what_makes_no_sense_is_refused(tmp_path):
     with pytest.raises(SettingsError, match="not both"):
         select(part=tmp_path / "a.stl", model="cube")
@@ -172,31 +151,6 @@ def test_only_the_machines_section_of_the_users_file_changes(tmp_path):
     assert path.read_text() == text
 
 
-def test_a_new_choice_keeps_the_comments_of_the_section_it_replaces(tmp_path):
-    path = tmp_path / "ebamcheck.toml"
-    write(path)
-    document = tomlkit.parse(path.read_text())
-    document["machines"]["bench-7"]["primary"].comment("checked by the shift leader")
-    path.write_text(tomlkit.dumps(document).replace('primary = "sound"', 'primary = "gone"'))
-    write(path)
-    assert 'primary = "sound" # checked by the shift leader' in path.read_text()
-    MachineChoice.model_validate(tomllib.loads(path.read_text())["machines"]["bench-7"])
-
-
-def test_line_ends_stay_as_they_are(tmp_path):
-    path = tmp_path / "ebamcheck.toml"
-    path.write_bytes(USER_FILE.replace("\n", "\r\n").encode())
-    write(path)
-    assert USER_FILE.replace("\n", "\r\n").encode()[:60] == path.read_bytes()[:60]
-
-
-def test_in_a_pyproject_the_section_stands_under_the_tool(tmp_path):
-    path = tmp_path / "pyproject.toml"
-    path.write_text('[project]\nname = "x"\n')
-    write(path)
-    assert tomllib.loads(path.read_text())["tool"]["ebamcheck"]["machines"]["bench-7"]["primary"] == "sound"
-
-
 @pytest.mark.parametrize("text", ["not toml", "machines = 3\n", "[[machines]]\n"])
 def test_a_file_that_cannot_take_the_section_is_left_as_it_is(tmp_path, text):
     path = tmp_path / "ebamcheck.toml"
@@ -224,24 +178,6 @@ def test_the_section_of_this_machine_is_in_force_and_no_other(monkeypatch):
     assert untouched == for_this_machine(settings_of({}))  # what others use does not show in a run's settings
     assert untouched.slicing.required == ("manifold",)
     assert for_this_machine(Config()) == Config()
-
-
-def test_the_machine_is_named_by_the_environment_before_the_host(monkeypatch):
-    monkeypatch.delenv(MACHINE_VARIABLE, raising=False)
-    host = machine_name()
-    assert host
-    monkeypatch.setenv(MACHINE_VARIABLE, "bench-7")
-    assert machine_name() == "bench-7"
-
-
-def test_a_run_ends_with_code_4_where_this_machine_lacks_what_it_requires(tmp_path, monkeypatch):
-    monkeypatch.setenv(MACHINE_VARIABLE, "bench-7")
-    write_stl(box(upper=(8.0, 6.0, 4.0)), tmp_path / "part.stl")
-    config = for_this_machine(settings_of({"bench-7": {"required": ["nosuch"]}}))
-    with pytest.raises(BackendMissing, match="nosuch") as raised:
-        run_job(tmp_path / "part.stl", tmp_path / "run", config)
-    assert raised.value.exit_code is ExitCode.BACKEND_MISSING
-    assert not (tmp_path / "run").exists()
 
 
 def test_what_is_written_is_what_a_run_reads_and_config_shows(tmp_path, monkeypatch):

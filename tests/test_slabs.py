@@ -4,38 +4,30 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import textwrap
 from contextlib import nullcontext
 
-import fake_distribution
 import numpy as np
-import pandas as pd
 import pytest
 from command_line import ebamcheck, write_stl
 from parts import box, join, moved, sphere, tilted, torus
-from pipeline_runs import Listener, gates
 from slicers_here import slicers_here
 
-from benchmarks import even_mesh
-from benchmarks.even_mesh import write_even_mesh
-from ebamcheck.errors import ExitCode, InputError, SettingsError
+from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.layers.heights import crossing_counts, layer_heights
-from ebamcheck.mesh import slabs as slab_reader
 from ebamcheck.mesh.files import load
 from ebamcheck.mesh.inspection import inspect
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.slabs import SlabInspection, divided, read_once
-from ebamcheck.pipeline import check_job
 from ebamcheck.pipeline.slabs import check_in_slabs
 from ebamcheck.preflight.workload import wanted_slabs
 from ebamcheck.settings.config import Config
 from ebamcheck_embree import Embree
 from ebamcheck_manifold import ManifoldCut
-from ebamcheck_models import LADDER, MODELS
+from ebamcheck_models import MODELS
 from ebamcheck_planecut import PlaneCut
 
 REACH_MM = 1e-5
-SLABS = (1, 2, 3, 7, 20)
+SLABS = (1, 3, 20)
 SLICERS = (PlaneCut, ManifoldCut, Embree)
 FAST = Config().changed(slicing={"backends": ["planecut", "manifold"]}, layers={"layer_height_mm": 1.0})
 
@@ -156,24 +148,6 @@ def test_inspection_of_the_slabs_is_that_of_the_whole(name, tmp_path):
         assert found == expected
 
 
-def test_columns_of_the_file_are_those_of_the_part(tmp_path):
-    path = write_stl(torus(), tmp_path / "part.stl")
-    whole, file = load(path, "in"), read_once(path, "inch")
-    assert file.outline.source_sha256 == whole.source_sha256
-    assert (file.outline.bounds == whole.bounds).all()
-    z = whole.triangles[:, :, 2]
-    assert (file.low.astype(np.float64) * file.millimetres == z.min(axis=1)).all()
-    assert (file.high.astype(np.float64) * file.millimetres == z.max(axis=1)).all()
-
-
-def test_a_file_is_read_alike_in_any_blocks(tmp_path, monkeypatch):
-    _, _, division = in_slabs(shuffled(sphere()), tmp_path, 3)
-    expected = [division.slab(k).part.sha256 for k in range(3)]
-    monkeypatch.setattr(slab_reader, "BLOCK", 100)
-    _, _, division = in_slabs(shuffled(sphere()), tmp_path, 3)
-    assert [division.slab(k).part.sha256 for k in range(3)] == expected
-
-
 # -- the whole command -----------------------------------------------------------------------------------
 
 
@@ -218,95 +192,6 @@ def test_a_check_in_slabs_writes_the_tables_of_a_check(part, slabs, backends, tm
     page = (tmp_path / f"{slabs}.run" / "report.html").read_text()
     assert f"checked in {slabs} slabs" in page
     assert "No method found a contour" not in page or codes[0] == 1
-
-
-SHIFTED = """
-from ebamcheck_planecut import PlaneCut
-
-
-class Shifted(PlaneCut):
-    name = "shifted"
-    summary = "moves what lies above 12 and under 14 mm"
-    priority = -1
-    isolated = True
-
-    def prepare(self, part, settings):
-        return Moved(super().prepare(part, settings))
-
-
-class Moved:
-    def __init__(self, honest):
-        self.honest = honest
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        pass
-
-    def slice(self, heights, progress=None):
-        import dataclasses
-        import numpy as np
-
-        layers = self.honest.slice(heights, progress)
-        starts = layers.ring_starts[layers.layer_starts]
-        layer = np.repeat(np.arange(len(layers)), np.diff(starts))
-        wrong = (heights[layer] > 12.0) & (heights[layer] < 14.0)
-        points = layers.points + np.where(wrong, 0.01, 0.0)[:, None]
-        return dataclasses.replace(layers, points=points).labelled(backend="shifted")
-"""
-
-
-@pytest.mark.slow
-def test_a_slicer_that_shifts_one_slab_is_found_there_and_nowhere_else(tmp_path, monkeypatch):
-    point = {"ebamcheck.backends": {"shifted": "shifted_slicer:Shifted"}}
-    fake_distribution.install(tmp_path, "shifted", point, {"shifted_slicer": textwrap.dedent(SHIFTED)})
-    fake_distribution.found_here(tmp_path, monkeypatch)
-    path = write_stl(box((0, 0, 0), (20, 20, 20)), tmp_path / "part.stl")
-    config = FAST.changed(slicing={"backends": ["planecut", "manifold", "shifted"]})
-    result = check_in_slabs(path, tmp_path / "a.run", config, 5)
-    layers = pd.read_csv(tmp_path / "a.run" / "layers.csv")
-    wrong = layers["height_mm"].between(12.0, 14.0)
-    assert wrong.sum() == 2
-    assert (layers["verdict"][wrong] == "outlier").all()
-    assert (layers["verdict"][~wrong] == "agree").all()
-    found = json.loads((tmp_path / "a.run" / "run.json").read_text())["comparison"]["findings"]
-    assert {(f["layer"], f["backend"]) for f in found} == {(13, "shifted"), (14, "shifted")}
-    assert result.exit_code is ExitCode.OUT_OF_TOLERANCE
-
-
-@pytest.mark.slow
-def test_a_hole_in_one_slab_shuts_the_gate_and_loses_who_needs_closed_meshes(tmp_path):
-    path = write_stl(holed(sphere(), 100), tmp_path / "part.stl")
-    result = check_job(path, tmp_path / "a.run", FAST.changed(slicing={"slabs": 4}))
-    assert result.exit_code is ExitCode.OUT_OF_TOLERANCE
-    assert not gates(result)["input"]
-    record = json.loads((tmp_path / "a.run" / "run.json").read_text())
-    assert record["part"]["inspection"]["verdict"] == "open"
-    assert record["part"]["inspection"]["open_edges"] == 3
-    assert record["backends"]["manifold"]["status"] == "refused"
-    assert "slab " in record["backends"]["manifold"]["why"]
-
-
-@pytest.mark.slow
-def test_an_interrupted_check_leaves_nothing_half_and_the_next_one_is_whole(tmp_path):
-    class Interrupting(Listener):
-        def advance(self, steps):
-            raise KeyboardInterrupt
-
-    path = write_stl(sphere(), tmp_path / "part.stl")
-    with pytest.raises(KeyboardInterrupt):
-        check_in_slabs(path, tmp_path / "a.run", FAST, 3, observer=Interrupting())
-    assert not (tmp_path / "a.run").exists()
-    check_in_slabs(path, tmp_path / "a.run", FAST, 3)
-    check_in_slabs(path, tmp_path / "b.run", FAST, 2)
-    assert tables(tmp_path / "a.run")[:2] == tables(tmp_path / "b.run")[:2]
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["a.run", "b.run", "part.stl"]
-    listener = Listener()
-    check_in_slabs(path, tmp_path / "a.run", FAST, 3, resume=True, observer=listener)
-    assert any("is finished already" in note for note in listener.notes)
-    with pytest.raises(SettingsError, match="finished"):
-        check_in_slabs(path, tmp_path / "a.run", FAST, 3)
 
 
 # -- what is refused -------------------------------------------------------------------------------------
@@ -358,15 +243,6 @@ def test_what_would_move_or_mend_the_part_is_refused(section, name, tmp_path):
         check_in_slabs(path, tmp_path / "a.run", FAST.changed(part=section), 2)
 
 
-@pytest.mark.slow
-def test_more_work_than_is_allowed_is_refused_unless_it_is_wanted(tmp_path):
-    path = write_stl(box(), tmp_path / "part.stl")
-    config = FAST.changed(work={"most_points": 3})
-    with pytest.raises(SettingsError, match="most_points"):
-        check_in_slabs(path, tmp_path / "a.run", config, 2)
-    assert check_in_slabs(path, tmp_path / "a.run", config, 2, yes=True).exit_code is ExitCode.PASS
-
-
 # -- when a part is checked in slabs ---------------------------------------------------------------------
 
 
@@ -382,13 +258,3 @@ def test_slabs_come_by_themselves_where_memory_asks_for_them(tmp_path):
     assert wanted_slabs(path, two.changed(slicing={"slabs": 9})) == 9
     assert wanted_slabs(text, tight) == wanted_slabs(tmp_path / "none.stl", tight) == 1
     assert wanted_slabs(path, two.changed(slicing={"memory_limit_mb": 255.0})) > 2
-
-
-@pytest.mark.slow
-def test_a_mesh_that_is_written_in_bands_is_the_even_mesh(tmp_path, monkeypatch):
-    monkeypatch.setattr("benchmarks.even_mesh.FACETS_A_BAND", 1 << 10)
-    for facets in (2000, 20_000):
-        count = write_even_mesh(LADDER, facets, tmp_path / "a.stl")
-        found, expected = load(tmp_path / "a.stl"), even_mesh.even_mesh(LADDER, facets)
-        assert count == len(found.faces) == len(expected.faces)
-        assert (found.triangles == expected.triangles).all()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import gc
 import threading
-from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -51,15 +50,6 @@ def test_another_direction_is_that_of_a_part_turned_before(backend):
         with other.along((0.0, 0.0, 1.0)) as back:
             assert_same(back.at(1.3), ebamcheck.slice(part, [1.3], backend=backend))
         assert_same(slicing.at(1.3), ebamcheck.slice(part, [1.3], backend=backend))
-
-
-def test_many_threads_get_their_own_layers(backend):
-    part = tilted(torus())
-    heights = ebamcheck.layer_heights(part, part.size[2] / 40)
-    stack = ebamcheck.slice(part, heights, backend=backend)
-    with Slicing(part, backend) as slicing, ThreadPoolExecutor(8) as pool:
-        for k, found in enumerate(pool.map(slicing.at, heights.tolist())):
-            assert_same(found, stack.block(k, k + 1))
 
 
 def test_settings_reach_the_slicer_and_go_along():

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import locale
 import zipfile
 from pathlib import Path
 
@@ -17,7 +16,6 @@ from ebamcheck.mesh import three_mf as reader
 from ebamcheck.mesh.part_source import read_part
 from ebamcheck.preflight.report import ready
 from ebamcheck.settings.config import Config
-from tests import three_mf
 from tests.three_mf import PRODUCTION, box, components, mesh, model, package
 
 A, B = (60, 60, 20), (20, 60, 20)
@@ -73,23 +71,6 @@ def test_units_that_contradict_the_file_are_an_error(put):
     bare = put(package(model(box(1, (2, 1, 1)), ONE, unit="")), "bare.3mf")
     with pytest.raises(SettingsError, match=r"its unit is mm \(by default of 3MF\)"):
         ebamcheck.load(bare, units="in")
-
-
-def test_units_of_other_formats_are_told_with_their_source(tmp_path):
-    stl = ebamcheck.save(ebamcheck.load(_three(tmp_path)), tmp_path / "box.stl")
-    assert ebamcheck.load(stl).units_from == "by default"
-    assert ebamcheck.load(stl, units="in").units_from == "from --units (part.units)"
-
-
-def _three(folder: Path) -> Path:
-    (folder / "made.3mf").write_bytes(package(model(box(1, (60, 30, 30)), ONE)))
-    return folder / "made.3mf"
-
-
-def test_a_preflight_of_a_file_in_centimeters_knows_its_size(put):
-    path = put(package(model(box(1, (6, 6, 2)), ONE, unit='unit="centimeter"')))
-    check = next(c for c in ready(path, Config()).preflight.checks if c.name == "units")
-    assert check.text == "60 x 60 x 20 mm, read as cm (from the file)"
 
 
 def _parts(*items: str, own: str = "", inner: str = 'objectid="1" p:path="/3D/Objects/o.model"') -> bytes:
@@ -172,65 +153,6 @@ def test_volumes_that_modify_others_are_left_out_and_said(put, kind):
     part = ebamcheck.load(path)
     assert part.size.tolist() == [60, 60, 20]
     assert "left out: object 1" in part.notes[0]
-
-
-def test_an_old_mark_of_a_modifier_and_components_of_other_slicers_are_known(put):
-    assert ebamcheck.load(
-        _with(NOTES, RANGED.format("modifier", "1"), package(model(TWO, ONE)), put)
-    ).volume == pytest.approx(72000)
-    path = _with(
-        "Metadata/model_settings.config", BAMBU.format("support_blocker"), _parts('objectid="5"'), put
-    )
-    assert ebamcheck.load(path).volume == pytest.approx(72000)
-    marked = f'<object id="2" type="model"><metadatagroup><metadata name="cura:infill_mesh">True</metadata></metadatagroup>{mesh(((80, 0, 0), B))}</object>'
-    path = put(
-        package(
-            model(
-                box(1, A) + marked,
-                ONE,
-                'objectid="2"',
-                more='xmlns:cura="http://software.ultimaker.com/xml/cura/3mf"',
-            )
-        )
-    )
-    assert ebamcheck.load(path).volume == pytest.approx(72000)
-
-
-def test_a_modifier_of_one_object_is_built_where_it_stands_by_itself(put):
-    """Of object 5 a modifier, but a part of object 6, and an item of its own."""
-    away = 'transform="1 0 0 0 1 0 0 0 1 {} 0 0"'
-    objects = (
-        box(1, A)
-        + box(7, B)
-        + components(5, ONE, 'objectid="7"')
-        + components(6, 'objectid="7"')
-        + components(8, 'objectid="5"')
-    )
-    settings = BAMBU.format("modifier_part")
-    alone = _with("Metadata/model_settings.config", settings, package(model(objects, 'objectid="8"')), put)
-    assert ebamcheck.load(alone).volume == pytest.approx(72000)
-    items = (
-        'objectid="5"',
-        f'objectid="6" {away.format(100)}',
-        f'objectid="7" {away.format(200)}',
-        f'objectid="8" {away.format(300)}',
-    )
-    part = ebamcheck.load(
-        _with("Metadata/model_settings.config", settings, package(model(objects, *items)), put)
-    )
-    assert part.volume == pytest.approx(2 * 72000 + 2 * 24000)
-    assert part.notes == ("left out: object 7: a modifier of another object",)
-
-
-def test_a_mark_of_cura_on_an_assembly_holds_for_all_in_it(put):
-    cura = 'xmlns:cura="http://software.ultimaker.com/xml/cura/3mf"'
-    mark = '<metadatagroup><metadata name="cura:infill_mesh">{}</metadata></metadatagroup><components>'
-    for said, volume in (("True", 72000), ("False", 96000)):
-        marked = components(3, 'objectid="2"').replace("<components>", mark.format(said), 1)
-        objects = box(1, A) + box(2, B, (80, 0, 0)) + marked + components(4, ONE, 'objectid="3"')
-        part = ebamcheck.load(put(package(model(objects, 'objectid="4"', more=cura))))
-        assert part.volume == pytest.approx(volume)
-        assert part.notes == (("left out: object 3: a modifier",) if said == "True" else ())
 
 
 @pytest.mark.parametrize(
@@ -319,16 +241,6 @@ def test_notes_of_a_slicer_that_cannot_be_read_are_refused(put, name, text, fits
     assert "\n" not in str(refused.value)
 
 
-def test_copies_up_to_the_limit_are_read(put, monkeypatch):
-    monkeypatch.setattr(reader, "MOST_COPIES", 1000)
-    hundred = components(2, *[ONE] * 100)
-    assert (
-        len(ebamcheck.load(put(package(model(box(1, A) + hundred, *['objectid="2"'] * 10)))).faces) == 12_000
-    )
-    with pytest.raises(InputError, match="places 1001 meshes"):
-        ebamcheck.load(put(package(model(box(1, A) + hundred, *['objectid="2"'] * 10, ONE))))
-
-
 @pytest.mark.parametrize(("times", "fits"), [(1.2, False), (1 / 1.2, True)])
 def test_a_small_file_of_much_text_is_not_unpacked(put, monkeypatch, times, fits):
     data = package(model(box(1, A), ONE), a_txt=bytes(1 << 20))
@@ -348,11 +260,99 @@ def test_a_small_file_of_much_text_is_not_unpacked(put, monkeypatch, times, fits
             ebamcheck.load(put(data))
 
 
-def test_reading_leaves_the_locale_of_the_process(put):
-    before = locale.setlocale(locale.LC_ALL)
-    ebamcheck.load(put(package(model(box(1, A), ONE))))
-    assert locale.setlocale(locale.LC_ALL) == before
+# -- what could be read in two ways ---------------------------------------------------------------------------
 
 
-def test_the_helper_writes_a_sound_box():
-    assert three_mf.box(1, A).count("<triangle ") == 12
+SLICES = 'xmlns:s="http://schemas.microsoft.com/3dmanufacturing/slice/2015/07"'
+STACK = '<s:slicestack id="9"><s:slice ztop="5"><s:vertices><s:vertex x="0" y="0"/><s:vertex x="9" y="0"/><s:vertex x="9" y="9"/></s:vertices><s:polygon startv="0"><s:segment v2="1"/><s:segment v2="2"/><s:segment v2="0"/></s:polygon></s:slice></s:slicestack>'
+
+
+@pytest.fixture
+def load(tmp_path: Path):
+    def read(data: bytes) -> ebamcheck.Part:
+        (tmp_path / "part.3mf").write_bytes(data)
+        return ebamcheck.load(tmp_path / "part.3mf")
+
+    return read
+
+
+@pytest.mark.parametrize(
+    ("root", "inner", "fits"),
+    [
+        ('unit="inch"', 'unit="inch"', True),
+        ('unit="millimeter"', "", True),
+        ("", 'unit="millimeter"', True),
+        ("", "", True),
+        ('unit="inch"', "", False),
+        ("", 'unit="inch"', False),
+    ],
+)
+def test_a_model_without_a_unit_is_in_millimeters_wherever_it_stands(load, root, inner, fits):
+    of = components(2, 'objectid="3" p:path="/o.model"')
+    data = package(
+        model(of, 'objectid="2"', unit=root, more=PRODUCTION),
+        o_model=model(box(3, B), unit=inner, more=PRODUCTION),
+    )
+    if fits:
+        inches = "inch" in root
+        assert load(data).volume == pytest.approx(24000 * (25.4**3 if inches else 1))
+    else:
+        with pytest.raises(InputError, match=r"o\.model is in .*, and the model that it belongs to in"):
+            load(data)
+
+
+def _sliced(way: str, of: int) -> bytes:
+    """An assembly of assemblies of a box, of which object `of` is given by slices."""
+    text = STACK + box(1, A) + components(2, ONE) + components(3, 'objectid="2"')
+    marked = text.replace(f'<object id="{of}"', f'<object id="{of}" s:slicestackid="9" {way}')
+    return package(model(marked, 'objectid="3"', more=SLICES))
+
+
+@pytest.mark.parametrize("of", [1, 2, 3])
+def test_a_rough_mesh_of_what_slices_give_is_refused_on_assemblies_too(load, of):
+    assert load(_sliced('s:meshresolution="fullres"', of)).volume == pytest.approx(72000)
+    with pytest.raises(InputError, match=f"object {of} is given by slices, and its mesh is a rough one"):
+        load(_sliced('s:meshresolution="lowres"', of))
+
+
+@pytest.mark.parametrize("starts", [("3D/a.model", "3D/b.model"), ("3D/b.model", "3D/a.model")])
+def test_two_models_to_start_from_are_refused(load, starts):
+    two = {"3D__b_model": model(box(1, B), ONE)}
+    sound = package(model(box(1, A), ONE), "3D/a.model", starts[:1], **two)
+    assert load(sound).volume == pytest.approx(72000 if "a" in starts[0] else 24000)
+    with pytest.raises(InputError, match=r"names 2 models to start from .*export it anew"):
+        load(package(model(box(1, A), ONE), "3D/a.model", starts, **two))
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        *((text, 0) for text in ("40mm", "1.2.3", "1_0", "40 50", "0x28", "\u0664\u0660", "nan", "")),
+        *(("40", 40), (" 40 ", 40), ("+4.e1", 40), ("400E-1", 40), (".5", 0.5)),
+    ],
+)
+def test_a_coordinate_is_a_number_to_its_end(load, text, value):
+    """In the usual form of the tag, and in one that takes another way through the reader."""
+    usual = model(box(1, (30, 30, 30)).replace('x="30"', f'x="{text}"'), ONE)
+    for data in (package(usual), package(usual.replace(f'x="{text}"', f"x='{text}' "))):
+        if value:
+            assert load(data).size == pytest.approx((value, 30, 30))
+        else:
+            with pytest.raises(InputError, match=r"a vertex has '.*', which is no number: export it anew"):
+                load(data)
+    if not value and text and " " not in text:
+        moved = model(box(1, A), f'objectid="1" transform="1 0 0 0 1 0 0 0 1 {text} 0 0"')
+        with pytest.raises(InputError, match=f"a transform has '{text}', which is no number"):
+            load(package(moved))
+
+
+@pytest.mark.parametrize(("times", "fits"), [(1 / 1.2, True), (1.2, False), (1e12, False)])
+def test_a_mesh_is_not_moved_so_far_that_its_coordinates_are_lost(load, times, fits):
+    far = 2**28 * 60 * 2 * times
+    moved = f'objectid="1" transform="2 0 0 0 2 0 0 0 2 0 {-far:g} 0"'
+    data = package(model(box(1, A), moved))
+    if fits:
+        assert load(data).size == pytest.approx((120, 120, 40), rel=1e-6)
+    else:
+        with pytest.raises(InputError, match="moves it so far that its coordinates are lost"):
+            load(data)

@@ -5,12 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.chance_curves import Case, judge
-from benchmarks.chance_forms import _over_a_cube
+from benchmarks.chance_curves import Case, _over_a_cube, judge
 from benchmarks.curve_parts import part_of
-from benchmarks.curve_parts_meshes import decimated, irregular_convex, split_edges
+from benchmarks.curve_parts_meshes import decimated, irregular_convex, quadric_decimated, split_edges
 from benchmarks.curve_parts_solids import Triangles, lathe, wedge
-from benchmarks.quadric_decimation import quadric_decimated
 from ebamcheck.curves.lifting import Lifting
 from ebamcheck.mesh.part import Part
 from ebamcheck.settings.stages import CurveSettings
