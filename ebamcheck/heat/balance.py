@@ -32,16 +32,11 @@ from ebamcheck.heat.medium import STEFAN_BOLTZMANN_W_M2K4, EnthalpyTables, entha
 from ebamcheck.kernels import Floats, Ints, kernel
 from ebamcheck.settings.config import Config
 
-LARGEST_CELL_MM = 2.5
-"""Largest height of a cell of the column: heat spreads over 20 times as far during a layer of one minute."""
-
+LARGEST_CELL_MM = 2.5  # largest height of a cell of the column: heat spreads over 20 times as far during a layer of one minute
+# Largest height of a joined cell of layers below, over its depth under the surface: the temperature field below a heated surface
+# is the smoother the deeper it is
 GROWTH = 0.05
-"""Largest height of a joined cell of layers below, over its depth under the surface: the temperature field below a heated
-surface is the smoother the deeper it is."""
-
-JOINED_FROM_MM = 10.0
-"""Depth from which cells are joined."""
-
+JOINED_FROM_MM = 10.0  # depth from which cells are joined
 NO_TIME: Floats = np.zeros(1)
 
 
@@ -277,19 +272,16 @@ def joined_cells(size: Floats, area: Floats, hole: Floats, under: int) -> Ints:
     return np.asarray(owner[0] - owner, np.int64)
 
 
+# Time steps of a layer or a wait, growing from short ones because a heated surface follows a square root law of time; and the
+# fewer steps of a time no longer than SHORT_S, such as that of a bead or a move
 STEPS, FEW_STEPS, SHORT_S = 8, 4, 15.0
-"""Time steps of a layer or a wait, growing from short ones because a heated surface follows a square root law of time; and the
-fewer steps of a time no longer than SHORT_S, such as that of a bead or a move."""
-
+# Most iterations of a time step, and the change of the heat content (0.3 mK) at which it has converged
 NEWTON_STEPS, NEWTON_J_MM3 = 60, 1e-6
-"""Most iterations of a time step, and the change of the heat content (0.3 mK) at which it has converged."""
-
+# Share of a time step in each of its two implicit stages: second order and L-stable (Alexander, SIAM J. Numer. Anal. 14 (1977)
+# 1006).
 STAGE = 1.0 - math.sqrt(0.5)
-"""Share of a time step in each of its two implicit stages: second order and L-stable (Alexander, SIAM J. Numer. Anal. 14
-(1977) 1006)."""
-
+# Largest change of the heat content in one iteration, about 300 K: melting and T^4 are too nonlinear for more
 LARGEST_CHANGE_J_MM3 = 1.0
-"""Largest change of the heat content in one iteration, about 300 K: melting and T^4 are too nonlinear for more."""
 
 
 class Column(NamedTuple):
@@ -431,8 +423,8 @@ def _newton_step(
     return largest
 
 
+# Least step of a wait, and least step over the wait so far: steps grow with the wait
 FIRST_WAIT_S, WAIT_GROWTH = 1.0, 0.5
-"""Least step of a wait, and least step over the wait so far: steps grow with the wait."""
 
 
 @kernel

@@ -14,11 +14,8 @@ import numpy as np
 from ebamcheck.heat.model import HeatModel
 from ebamcheck.kernels import Floats, Ints, kernel
 
-LEAST_DECAY = 1e-5
-"""Decays under which what a place leaves is the first terms of its series: a difference from 1 would lose more."""
-
-LEAST = -40.0
-"""Exponent under which :func:`falling` gives the power of this one, 4e-18: nothing beside 1."""
+LEAST_DECAY = 1e-5  # decays under which what a place leaves is the first terms of its series: a difference from 1 would lose more
+LEAST = -40.0  # exponent under which :func:`falling` gives the power of this one, 4e-18: nothing beside 1
 
 
 class Modes(NamedTuple):

@@ -18,27 +18,15 @@ from ebamcheck.heat.near_field import FAR, OPTIONS, NearField, at_root, young_me
 from ebamcheck.kernels import Bools, Floats, kernel
 from ebamcheck.threads import run_blocks
 
+# Times of the table; :data:`YOUNG_NODES` of them until the horizon of young heat. Node m after the
+# horizon lies at m^2.
 NODES = 96
-"""Times of the table; :data:`~ebamcheck.heat.influence.YOUNG_NODES` of them until the horizon of young heat. Node m after
-the horizon lies at m^2."""
-
-LEAST_RATE = 1e-9
-"""Decay, 1/s, that an amplitude has at least: nothing within any layer, but there is an inverse of it."""
-
-FALLEN = 25.0
-"""Decays in which a mode falls to nothing beside the rounding of the table: 1e-11."""
-
-FEWER = 4.0
-"""Times of the table go together until so many times fewer modes are left."""
-
-MOST_ISLANDS = 500
-"""Beyond, the table is too large: 500 islands take 96 MB."""
-
-SOURCES = 16
-"""Islands whose part of the table a thread is worth."""
-
-AT_ONCE = 8
-"""Sources whose rises come from one product of matrices: one by one they take a third longer."""
+LEAST_RATE = 1e-9  # decay, 1/s, that an amplitude has at least: nothing within any layer, but there is an inverse of it
+FALLEN = 25.0  # decays in which a mode falls to nothing beside the rounding of the table: 1e-11
+FEWER = 4.0  # times of the table go together until so many times fewer modes are left
+MOST_ISLANDS = 500  # beyond, the table is too large: 500 islands take 96 MB
+SOURCES = 16  # islands whose part of the table a thread is worth
+AT_ONCE = 8  # sources whose rises come from one product of matrices: one by one they take a third longer
 
 
 class Sources(NamedTuple):
@@ -238,9 +226,9 @@ def table_place(since: float, nodes: float, horizon: float, columns: int) -> tup
 # hundred.
 
 
+# Times until the horizon of young heat. Their spacing grows with the time, as heat changes ever more slowly: node n of N lies at
+# horizon (n / (N - 1))^2.
 YOUNG_NODES = 12
-"""Times until the horizon of young heat. Their spacing grows with the time, as heat changes ever more slowly: node n of N
-lies at horizon (n / (N - 1))^2."""
 
 Table = NDArray[np.float32]
 

@@ -24,14 +24,11 @@ from ebamcheck.kernels import Floats
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import least_window_share
 
+# Share of the limit's rise over ambient by which a plan stays under it: waits are whole seconds, and the program rounds
 MARGIN = 0.01
-"""Share of the limit's rise over ambient by which a plan stays under it: waits are whole seconds, and the program rounds."""
-
+# What does not cool down to the limit in this time is not waited for; the heat gate says so
 LONGEST_WAIT_S = 4.0 * 3600.0
-"""What does not cool down to the limit in this time is not waited for; the heat gate says so."""
-
-PERCENT = 100
-"""Steps of the power's share."""
+PERCENT = 100  # steps of the power's share
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,27 +15,16 @@ from ebamcheck.heat.near_field import OPTIONS, NearField, entry_rise, near_field
 from ebamcheck.kernels import Floats, Ints, kernel
 from ebamcheck.settings.config import Config
 
-SIMULATION_WAVE = 2.0 / 3.0
-"""Shortest wave of a simulation, in widths of an island."""
-
-PLANNING_WAVE = 1.0
-"""Shortest wave of a plan, in widths of an island: shorter ones die out while the next island is scanned."""
-
+SIMULATION_WAVE = 2.0 / 3.0  # shortest wave of a simulation, in widths of an island
+PLANNING_WAVE = 1.0  # shortest wave of a plan, in widths of an island: shorter ones die out while the next island is scanned
+# Cells in the shortest wave: as few as can carry it in a plan, which is compared with others and not read. Plans made on finer
+# cells were no cooler in a finer simulation.
 PLANNING_CELLS, SIMULATION_CELLS = 2.0, 3.0
-"""Cells in the shortest wave: as few as can carry it in a plan, which is compared with others and not read. Plans
-made on finer cells were no cooler in a finer simulation."""
-
-PLANNING_MODES = 400
-"""Modes of the section that a plan uses at most: beyond, only the longest waves count."""
-
+PLANNING_MODES = 400  # modes of the section that a plan uses at most: beyond, only the longest waves count
+# Modes times the square of the islands in a plan at most: over 3000 islands it knows fewer modes
 PLANNING_WORK = 4e9
-"""Modes times the square of the islands in a plan at most: over 3000 islands it knows fewer modes."""
-
-SIMULATION_MODES = 800
-"""Modes of the section that a simulation uses at most."""
-
-MOST_DEPTH_MODES = 40
-"""Modes of the depth at most."""
+SIMULATION_MODES = 800  # modes of the section that a simulation uses at most
+MOST_DEPTH_MODES = 40  # modes of the depth at most
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,11 +14,9 @@ from ebamcheck.settings.config import Config
 from ebamcheck.settings.materials import MaterialSettings
 from ebamcheck.settings.process_window import MOST_SPACINGS, along_window, wire_speed_mm_s
 
+# Standard deviation of the beam's heat over the width of the bead: 95 % of it falls on the bead
 BEAM_SHARE = 0.25
-"""Standard deviation of the beam's heat over the width of the bead: 95 % of it falls on the bead."""
-
-STEFAN_BOLTZMANN_W_M2K4 = 5.670374419e-8
-"""Radiation of a black body over T^4 (CODATA 2018)."""
+STEFAN_BOLTZMANN_W_M2K4 = 5.670374419e-8  # radiation of a black body over T^4 (CODATA 2018)
 
 
 @dataclass(frozen=True)
@@ -52,14 +50,9 @@ class Medium:
         )
 
 
-HOTTEST_K = 6000.0
-"""End of the tables, beyond any melt: evaporation is not part of them, so a melt may exceed the boiling point."""
-
-STEP_K = 1.0
-"""Step of temperature for the integrals of the data."""
-
-NODES = 8192
-"""Nodes of the tables over the heat content: about 1 K apart."""
+HOTTEST_K = 6000.0  # end of the tables, beyond any melt: evaporation is not part of them, so a melt may exceed the boiling point
+STEP_K = 1.0  # step of temperature for the integrals of the data
+NODES = 8192  # nodes of the tables over the heat content: about 1 K apart
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,8 +120,7 @@ def _tables(material: MaterialSettings, ambient_k: float) -> EnthalpyTables:
     )
 
 
-WIDER = 1.0005
-"""Width over the spacing from which on a bead is a wider one: widths and wire speeds are rounded in a program."""
+WIDER = 1.0005  # width over the spacing from which on a bead is a wider one: widths and wire speeds are rounded in a program
 
 
 def melting_heat_j_kg(config: Config) -> float:

@@ -81,8 +81,7 @@ class HeatModel:
         )
 
 
-NEWTON_STEPS = 8
-"""Enough for the last bits of a double."""
+NEWTON_STEPS = 8  # enough for the last bits of a double
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,26 +27,18 @@ from ebamcheck.geometry.raster import cell_shares, face_shares, islands_in_cells
 from ebamcheck.geometry.regions import valid_polygons
 from ebamcheck.kernels import Floats, Ints
 
+# Cells per shortest wavelength. Uncorrected, the decay rate of that wave would be up to 9 % low ((k h)^2 / 12).
 CELLS_PER_WAVE = 6.0
-"""Cells per shortest wavelength. Uncorrected, the decay rate of that wave would be up to 9 % low ((k h)^2 / 12)."""
-
-WHOLE = 0.999
-"""Share of a cell that must lie in the section for it to count as whole."""
-
+WHOLE = 0.999  # share of a cell that must lie in the section for it to count as whole
+# Least number of cells across the square root of the area, lest a small region be a single cell
 LEAST_CELLS = 12.0
-"""Least number of cells across the square root of the area, lest a small region be a single cell."""
-
+# Most cells of a section, several times what its waves need: a sliver, or thousands of specks, would need far more
 MOST_CELLS = 20_000
-"""Most cells of a section, several times what its waves need: a sliver, or thousands of specks, would need far more."""
-
+# Regions with fewer cells are solved for all modes by divide and conquer, which is fastest there
 DENSE_CELLS = 800
-"""Regions with fewer cells are solved for all modes by divide and conquer, which is fastest there."""
-
+# Larger regions are also solved by a dense solver if more than this share of all modes is wanted
 DENSE_SHARE = 0.05
-"""Larger regions are also solved by a dense solver if more than this share of all modes is wanted."""
-
-SURPLUS = 1.15
-"""Modes requested over Weyl's estimate, lest one below the limit be missed."""
+SURPLUS = 1.15  # modes requested over Weyl's estimate, lest one below the limit be missed
 
 
 # -- Linear algebra on the calling thread only. Layers are spread over our own threads. If BLAS used threads of its own for
@@ -234,8 +226,8 @@ def _region_modes(
     return np.asarray(eigenvalue[kept], np.float64), vectors[:, kept] / root[:, None], cells
 
 
+# Least share of a cell or face in the section; with less it is left out, as irrelevant for heat
 LEAST_SHARE = 1e-6
-"""Least share of a cell or face in the section; with less it is left out, as irrelevant for heat."""
 
 
 @dataclass(frozen=True, eq=False)

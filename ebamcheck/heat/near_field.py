@@ -35,43 +35,25 @@ from ebamcheck.heat.model import DepthModes, HeatModel, depth_modes
 from ebamcheck.kernels import Bools, Floats, Ints, kernel
 from ebamcheck.threads import run_blocks
 
-OPTIONS = 4
-"""Entry options of an island, as in :class:`~ebamcheck.scan.filling.schedule.IslandSchedule`."""
-
+OPTIONS = 4  # entry options of an island, as in :class:`~ebamcheck.scan.filling.schedule.IslandSchedule`
+# Times that the triangles of an island are halved: a hexagon has 8 tiles then, each a Gaussian of its moment; and decimals of the
+# corners, mm, by which they are cut
 HALVED, DECIMALS = 1, 6
-"""Times that the triangles of an island are halved: a hexagon has 8 tiles then, each a Gaussian of its moment; and decimals
-of the corners, mm, by which they are cut."""
-
-FLAT = 0.05
-"""Deviation, over its width, by which the border of an island is simplified before it is cut into triangles."""
-
-DIED_OUT = 3.0
-"""Exponent by which the shortest wave of the modes has fallen at the horizon, at least: to 5 %."""
-
+FLAT = 0.05  # deviation, over its width, by which the border of an island is simplified before it is cut into triangles
+DIED_OUT = 3.0  # exponent by which the shortest wave of the modes has fallen at the horizon, at least: to 5 %
+# Horizon, at least, in times in which heat crosses an island, w^2 / alpha: until then its sides differ by much
 WITHIN_AN_ISLAND = 0.15
-"""Horizon, at least, in times in which heat crosses an island, w^2 / alpha: until then its sides differ by much."""
-
+# Islands farther apart than so many standard deviations of the spread until the horizon, or than so many widths of an island, do
+# not count as near
 SIGMAS, MOST_REACH = 2.5, 6.0
-"""Islands farther apart than so many standard deviations of the spread until the horizon, or than so many widths of an island,
-do not count as near."""
-
+# Pieces of a line of an island's width, at most, and the shortest piece over the width of a bead
 PIECES, SHORTEST = 4.0, 0.5
-"""Pieces of a line of an island's width, at most, and the shortest piece over the width of a bead."""
-
-AGES = 10
-"""Intervals of the tables; age n lies at n^2."""
-
+AGES = 10  # intervals of the tables; age n lies at n^2
+# Waves of the depth in the thickness of a layer, which carry the exact function of the depth; and in all, at most
 DEPTH_WAVES, MOST_DEPTH_WAVES = 6.0, 2000
-"""Waves of the depth in the thickness of a layer, which carry the exact function of the depth; and in all, at most."""
-
-FAR = 16.0
-"""Squared distances over this times the variance bring nothing: exp(-8)."""
-
-SPARE = 1e-9
-"""Share, and mm^2, by which a spread that brings nothing stays under the one that would."""
-
-FEWEST_PAIRS, FEWEST_POINTS = 16, 64
-"""Pairs of islands, and points, that a thread is worth."""
+FAR = 16.0  # squared distances over this times the variance bring nothing: exp(-8)
+SPARE = 1e-9  # share, and mm^2, by which a spread that brings nothing stays under the one that would
+FEWEST_PAIRS, FEWEST_POINTS = 16, 64  # pairs of islands, and points, that a thread is worth
 
 
 class NearField(NamedTuple):
@@ -292,18 +274,14 @@ def entry_rise(
 # -- Enclosed share: how much of a Gaussian around a point lies in the metal that the point sees ---------------
 
 
+# Rays from each point to the outline, and the exponent from which on what a Gaussian has beyond the outline counts as nothing: at
+# three standard deviations
 DIRECTIONS, FELT = 32, 4.5
-"""Rays from each point to the outline, and the exponent from which on what a Gaussian has beyond the outline counts as nothing:
-at three standard deviations."""
-
-LEAST_SHARE = 0.05
-"""Least share, that of a wedge of 18 degrees: a point on a tip holds its heat."""
-
+LEAST_SHARE = 0.05  # least share, that of a wedge of 18 degrees: a point on a tip holds its heat
+# Crossings nearer than this are the outline on which the point lies, not what its ray meets
 ON_OUTLINE_MM = 1e-6
-"""Crossings nearer than this are the outline on which the point lies, not what its ray meets."""
-
+# Segments of the outline that are passed over together where all of them are too far away to be felt
 STRETCH = 64
-"""Segments of the outline that are passed over together where all of them are too far away to be felt."""
 
 
 def enclosed_share(section: BaseGeometry, points: Floats, variance_mm2: Floats) -> Floats:

@@ -25,26 +25,14 @@ from ebamcheck.kernels import Bools, Floats
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.stages import AIM_K, JOINED_SPACINGS, LEAST_LINE_MM, LEAST_REST_S
 
-SIGMAS = 4.0
-"""Diameter of a spot over the standard deviation of its intensity (ISO 11146)."""
-
-MOST_MODES, DEPTH_MODES = 500, 12
-"""Modes of the section and of the depth."""
-
-CELLS = 4.0
-"""Cells of the section in the shortest wave."""
-
+SIGMAS = 4.0  # diameter of a spot over the standard deviation of its intensity (ISO 11146)
+MOST_MODES, DEPTH_MODES = 500, 12  # modes of the section and of the depth
+CELLS = 4.0  # cells of the section in the shortest wave
+# The column is stepped by about so long a time; waits from so long on are stepped by themselves; more than there ever are
 CHUNK_S, LONG_S, CHUNKS = 10.0, 1.0, 1_000_000
-"""The column is stepped by about so long a time; waits from so long on are stepped by themselves; more than there ever are."""
-
-MOST_PLACES = 900
-"""Places at which the temperature is read, about."""
-
-MOMENTS = 400
-"""Moments of the past in the sum for the temperature under a moving spot."""
-
-WITHIN_MM = 1e-6
-"""Rounding of a way within a region."""
+MOST_PLACES = 900  # places at which the temperature is read, about
+MOMENTS = 400  # moments of the past in the sum for the temperature under a moving spot
+WITHIN_MM = 1e-6  # rounding of a way within a region
 
 
 @dataclass(frozen=True, eq=False)
