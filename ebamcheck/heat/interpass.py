@@ -34,7 +34,7 @@ PERCENT = 100  # steps of the power's share
 
 @dataclass(frozen=True, eq=False)
 class SimulatedLayer:
-    """One layer as it is simulated, with a share of the beam's power. Temperatures are absolute, but for the rise `body_k`."""
+    """One layer as it is simulated, with a share of the beam's power. Temperatures are absolute, but for the rise `body_mean_k`."""
 
     power_share: float
     wait_s: float  # before the layer
@@ -42,7 +42,7 @@ class SimulatedLayer:
     bead_wait_s: Floats  # (B,) before each bead but the first; further beads of one island share the longest that one of them asks for
     bed_k: Floats  # (B,) what each bead finds at its place when it is entered
     mean_k: Floats  # (B,) mean over the section then
-    body_k: float  # mean rise of the part under the layer when it is begun
+    body_mean_k: float  # mean rise of the part under the layer when it is begun
     enter_k: float  # mean of the surface when the layer is begun
     leave_k: float  # the same when it is done
     time_s: float  # moves and waits within the layer included

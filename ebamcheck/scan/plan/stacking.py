@@ -34,6 +34,18 @@ def stack_plans(planned: Sequence[OrderedLayer], config: Config, order: str, see
     base = np.cumsum([0] + [len(p.laid.islands) for p in planned])
     islands = _joined([p.laid.islands for p in planned], np.zeros(0, object))
     by_layer = list(zip(planned, base[:-1], strict=True))
+    start, end = (
+        _joined([getattr(p.lines, at) for p in planned], np.zeros((0, 2))) for at in ("start", "end")
+    )
+    x, y = (end - start).T
+    lines = np.column_stack([start, end, np.degrees(np.arctan2(y, x)) % 360.0])
+    vectors = pd.DataFrame(lines, columns=list(LINE_COLUMNS))
+    vectors.insert(0, "island", _joined([p.lines.island + b for p, b in by_layer], np.zeros(0, np.int64)))
+
+    def waits_s(name: str) -> Floats:
+        waits = [np.zeros(len(p.order)) if p.heat is None else getattr(p.heat, name) for p in planned]
+        return _joined(waits, np.zeros(0))
+
     plan = ScanPlan(
         heights=np.array([p.laid.height_mm for p in planned], np.float64),
         contours=cells.column([p.laid.regions.contour for p in planned]),
@@ -47,41 +59,25 @@ def stack_plans(planned: Sequence[OrderedLayer], config: Config, order: str, see
         neighbours=_joined([p.laid.neighbours + b for p, b in by_layer], np.zeros((0, 2), np.int64)),
         border_mm=_joined([p.laid.border_mm for p in planned], np.zeros(0)),
         order=_joined([p.order + b for p, b in by_layer], np.zeros(0, np.int64)),
-        vectors=_vector_table(by_layer),
+        vectors=vectors,
         metrics=pd.DataFrame(columns=list(METRICS)),
-        settings=_settings(config, order, seed),
-        island_wait_s=_joined([p.waits_s("island_wait_s") for p in planned], np.zeros(0)),
-        inner_wait_s=_joined([p.waits_s("inner_wait_s") for p in planned], np.zeros(0)),
+        settings={
+            "order": order,
+            "seed": seed,
+            "scan": config.scan.model_dump(mode="json", exclude={"order", "seed"}),
+            "bead_width_mm": config.process.bead_width_mm,
+            "bead_spacing": config.process.bead_spacing,
+            "travel_speed_mm_s": config.process.travel_speed_mm_s,
+            "rapid_mm_s": config.machine.rapid_mm_s,
+        },
+        island_wait_s=waits_s("island_wait_s"),
+        inner_wait_s=waits_s("inner_wait_s"),
     )
     return replace(plan, metrics=_measured(plan, planned, config))
 
 
 def _joined(columns: Sequence[NDArray[Any]], empty: NDArray[Any]) -> NDArray[Any]:
     return np.concatenate(columns) if columns else empty
-
-
-def _vector_table(by_layer: Sequence[tuple[OrderedLayer, Any]]) -> pd.DataFrame:
-    nothing = np.zeros((0, 2))
-    start = _joined([p.lines.start for p, _ in by_layer], nothing)
-    end = _joined([p.lines.end for p, _ in by_layer], nothing)
-    x, y = (end - start).T
-    columns = np.column_stack([start, end, np.degrees(np.arctan2(y, x)) % 360.0])
-    table = pd.DataFrame(columns, columns=list(LINE_COLUMNS))
-    table.insert(0, "island", _joined([p.lines.island + b for p, b in by_layer], np.zeros(0, np.int64)))
-    return table
-
-
-def _settings(config: Config, order: str, seed: int) -> dict[str, Any]:
-    """What shaped the plan."""
-    return {
-        "order": order,
-        "seed": seed,
-        "scan": config.scan.model_dump(mode="json", exclude={"order", "seed"}),
-        "bead_width_mm": config.process.bead_width_mm,
-        "bead_spacing": config.process.bead_spacing,
-        "travel_speed_mm_s": config.process.travel_speed_mm_s,
-        "rapid_mm_s": config.machine.rapid_mm_s,
-    }
 
 
 def _measured(plan: ScanPlan, planned: Sequence[OrderedLayer], config: Config) -> pd.DataFrame:
@@ -118,9 +114,9 @@ def _measured(plan: ScanPlan, planned: Sequence[OrderedLayer], config: Config) -
         "travel_mm": travel,
         "starts": total(simulated["starts"]).astype(np.int64),
         "time_s": (length + turn) / config.process.travel_speed_mm_s + travel / config.machine.rapid_mm_s,
-        "interval_p10_s": [float(np.quantile(v, EARLY)) if v.size else math.nan for v in spread],
+        "interval_p10_s": [float(np.quantile(v, 0.1)) if v.size else math.nan for v in spread],
         "interval_min_s": [float(v.min()) if v.size else math.nan for v in spread],
-        **{name: [math.nan if p.heat is None else getattr(p.heat, name) for p in planned] for name in HEAT},
+        **{name: [math.nan if p.heat is None else p.heat.figures[name] for p in planned] for name in HEAT},
     }
     if config.preheat.when != "off":
         values["preheat_passes"] = [0 if p.heat is None else p.heat.preheat_passes for p in planned]
@@ -206,10 +202,6 @@ def plan_stack(
         if progress is not None:
             progress(1)
     return stack_plans(planned, config, name, number)
-
-
-# Quantile of the intervals between neighbours that is reported: the tenth that is the most rushed
-EARLY = 0.1
 
 
 def scheduled(plan: ScanPlan, config: Config) -> pd.DataFrame:
