@@ -253,21 +253,27 @@ def scanned(
     half_spot_mm, machine = 0.5 * config.preheat.spot_mm, config.machine
     body = under if k == 0 else sections[k - 1]
     if body is not None:
-        region = eroded(body, half_spot_mm)
-    else:
-        z_mm = 0.0
-        margin_mm = np.array([-1.0, -1.0, 1.0, 1.0]) * config.preheat.margin_mm
-        body = within = box = shapely.box(*(shapely.bounds(sections[0]) + margin_mm))
-        if machine.base_plate_min_mm is not None and machine.base_plate_max_mm is not None:
-            body = shapely.box(*machine.base_plate_min_mm, *machine.base_plate_max_mm)
-            within = eroded(body, half_spot_mm)
-        region = shapely.intersection(within, box)
-    # Clamps that stand over the surface, and half a spot around them, stay free.
+        return Scanned(body, _free(eroded(body, half_spot_mm), z_mm, config), z_mm)
+    body = within = box = _grown_box(sections[0], config)
+    if machine.base_plate_min_mm is not None and machine.base_plate_max_mm is not None:
+        body = shapely.box(*machine.base_plate_min_mm, *machine.base_plate_max_mm)
+        within = eroded(body, half_spot_mm)
+    return Scanned(body, _free(shapely.intersection(within, box), 0.0, config), 0.0)
+
+
+def _grown_box(section: BaseGeometry, config: Config) -> BaseGeometry:
+    margin_mm = np.array([-1.0, -1.0, 1.0, 1.0]) * config.preheat.margin_mm
+    box: BaseGeometry = shapely.box(*(shapely.bounds(section) + margin_mm))
+    return box
+
+
+def _free(region: BaseGeometry, z_mm: float, config: Config) -> BaseGeometry:
+    """Region without clamps that stand over a height, and half a spot around them."""
     for place in config.process.keep_out:
         if place.z_mm[1] > z_mm:
-            around = shapely.buffer(shapely.Polygon(place.outline_mm), half_spot_mm)
+            around = shapely.buffer(shapely.Polygon(place.outline_mm), 0.5 * config.preheat.spot_mm)
             region = shapely.difference(region, around)
-    return Scanned(body, region, z_mm)
+    return region
 
 
 def asked_for(k: int, config: Config) -> bool:

@@ -123,8 +123,6 @@ def scan_order(name: str | Order, islands: LayerIslands, heat: IslandHeat | None
 def needs_heat(name: str | Order) -> bool:
     """Whether an order asks the heat model: what it says itself, and no for one that says nothing.
 
-    Examples
-    --------
     >>> needs_heat("raster"), needs_heat("thermal")
     (False, True)
     """
