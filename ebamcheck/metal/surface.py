@@ -14,13 +14,11 @@ from scipy import ndimage
 from ebamcheck.kernels import Bools, Floats
 from ebamcheck.metal.target import REACHED, Target, border_distance, cell_mm, moved_to_neighbours
 
-LEVELLED_BEADS = 0.5  # standard deviation, over the bead width, of the Gaussian that levels: that of a disc of one bead width's radius
-SPOT_BEADS = 0.25  # the same of the spot over which the surface is read: that of a disc as wide as the bead
+# Standard deviation, over the bead width, of the spot over which the surface is read: that of a disc as wide as the bead
+SPOT_BEADS = 0.25
 HALF = 0.5  # share of a cell in the section from which on it counts as inside
 FILM = 0.25  # height of metal over that of the layer from which on a bead has reached a place: its flank is thinner
 MENDED = 0.3  # share of what lies too high or too low under a layer that is mended by it, where that is worked out and not measured
-# Distance from its line, over half its width, up to which a bead is at least half as high as in its middle
-DOME = 0.5**0.5
 
 
 def bead_centres(inside: Bools, bead_cells: float) -> Bools:
@@ -43,8 +41,8 @@ def reachable(inside: Bools, bead_cells: float) -> Bools:
     centres = bead_centres(inside, bead_cells)
     if not centres.any():
         return centres
-    away = border_distance(~centres)
-    return np.asarray(inside & (away <= DOME * 0.5 * bead_cells), np.bool_)
+    # Up to so far from its line, a bead is at least half as high as in its middle.
+    return np.asarray(inside & (border_distance(~centres) <= 0.5**0.5 * 0.5 * bead_cells), np.bool_)
 
 
 class Surface:
@@ -94,11 +92,8 @@ class Surface:
 
     def measured(self) -> Surface:
         """Return the surface of a part whose height was measured: uneven as it was, and on average at that height."""
-        made = self.copy()
-        if self.mapped:
-            return made
-        metal = self._share.sum()
-        if metal > 0.0:
+        made, metal = self.copy(), self._share.sum()
+        if metal > 0.0 and not self.mapped:
             mean_mm = float((self._share * self._over_mm).sum() / metal)
             made._over_mm = np.where(self._share > 0.0, self._over_mm - mean_mm, 0.0)
         return made
@@ -117,8 +112,7 @@ class Surface:
         """Build a layer that is to have a height, of metal as high as (rows, columns) in the cells of `target`."""
         over, built = np.zeros_like(self._over_mm), np.zeros_like(self._share)
         if target.share.size:
-            at = self._window(target)
-            inside = target.share >= HALF
+            at, inside = self._window(target), target.share >= HALF
             metal = inside & ((laid_mm >= REACHED * thickness_mm) | reachable(inside, self._bead))
             before = np.where(self._share[at] > 0.0, self._over_mm[at], 0.0)
             fields = target.share, laid_mm - thickness_mm * target.share
@@ -148,7 +142,8 @@ def gathered(field: Floats, share: Floats, metal: Bools) -> Floats:
 def levelled(height: Floats, share: Floats, bead_cells: float) -> Floats:
     """Heights of molten metal (rows, columns) when it has levelled over a bead width, without flowing over the border; 0 where the
     share of metal is 0."""
-    flown, weight = _spread(height, share, LEVELLED_BEADS * bead_cells)
+    # The standard deviation of a disc of one bead width's radius.
+    flown, weight = _spread(height, share, 0.5 * bead_cells)
     return np.asarray(np.where(share > 0.0, flown + (1.0 - weight) * height, 0.0), np.float64)
 
 
