@@ -123,9 +123,6 @@ def _measured(plan: ScanPlan, planned: Sequence[OrderedLayer], config: Config) -
     return pd.DataFrame(values, columns=[*METRICS, *(name for name in values if name not in METRICS)])
 
 
-# -- Plan layers: section -> islands and their lines -> order -> path ------------------------------------------
-
-
 def plan_scan(
     polygons: BaseGeometry | Iterable[BaseGeometry],
     config: Config | None = None,
@@ -168,8 +165,7 @@ def plan_scan(
     name, number = order or config.scan.order, config.scan.seed if seed is None else seed
     stack = Stack([layer_section(polygons)], np.array([height_mm], np.float64), [layer])
     asked = needs_heat(name)
-    carry = asked and config.scan.carry_heat
-    planned = ordered_layers(stack, config, name, number, carry=carry, simulated=asked)
+    planned = ordered_layers(stack, config, name, number, asked and config.scan.carry_heat, asked)
     return stack_plans(list(planned), config, name, number)
 
 
@@ -233,18 +229,17 @@ def simulate_order(plan: ScanPlan, config: Config) -> pd.DataFrame:
     `starts` of the wire; NaN times without lines."""
     driven = {str(name): values.to_numpy() for name, values in scheduled(plan, config).items()}
     island, jump = driven["island"], driven["jump_mm"]
-    new_island = np.diff(island, prepend=-1) != 0
-
+    first, last = (np.flatnonzero(np.diff(island, **side) != 0) for side in ({"prepend": -1}, {"append": -1}))
     count, order = len(plan.order), plan.order
-    first = np.flatnonzero(new_island)
-    last = np.flatnonzero(np.diff(island, append=-1) != 0)
     start_s, end_s, before = np.full(count, np.nan), np.full(count, np.nan), np.zeros(count)
     start_s[island[first]], end_s[island[first]] = driven["begin_s"][first], driven["end_s"][last]
     before[island[first]] = jump[first]
-    by_island = {name: driven[name] for name in ("length_mm", "turn_mm")}
-    by_island["inner_travel_mm"] = np.where(new_island, 0.0, jump)
-    by_island["starts"] = (jump > 0) | driven["new_layer"]
-    totals = {name: np.bincount(island, values, minlength=count)[order] for name, values in by_island.items()}
+    inner = jump.copy()
+    inner[first] = 0.0
+
+    def total(values: Floats) -> Floats:
+        return np.bincount(island, values, minlength=count)[order]
+
     return pd.DataFrame(
         {
             "island": order,
@@ -253,7 +248,9 @@ def simulate_order(plan: ScanPlan, config: Config) -> pd.DataFrame:
             "start_s": start_s[order],
             "end_s": end_s[order],
             "travel_mm": before[order],
-            **{name: totals[name] for name in ("inner_travel_mm", "length_mm", "turn_mm")},
-            "starts": totals["starts"].astype(np.int64),
+            "inner_travel_mm": total(inner),
+            "length_mm": total(driven["length_mm"]),
+            "turn_mm": total(driven["turn_mm"]),
+            "starts": total((jump > 0) | driven["new_layer"]).astype(np.int64),
         }
     )

@@ -3,6 +3,7 @@ islands."""
 
 from __future__ import annotations
 
+import itertools
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -67,6 +68,14 @@ class OrderedLayer:
     order: Ints  # (I,)
     options: Ints  # (I,) entry option of each island, see :func:`~ebamcheck.scan.order.entries.in_sequence`
     heat: LayerHeat | None = None  # where it was simulated
+
+    @classmethod
+    def of(
+        cls, name: str | Order, laid: LaidLayer, islands: LayerIslands, heat: IslandHeat | None
+    ) -> OrderedLayer:
+        """Put islands in an order; `heat` is that with which the layer begins, where the order asks for it."""
+        order = scan_order(name, islands, heat)
+        return cls(laid, islands, order, chosen_options(name, islands, order, heat))
 
     @cached_property
     def lines(self) -> Vectors:
@@ -134,8 +143,7 @@ def ordered_layers(
             laid = stack.laid(k, config)
             islands = laid.choices(config, seed, stack.plate_mm)
             heat = islands.cold_heat() if needs_heat(order) and len(islands) > 1 else None
-            ranks = scan_order(order, islands, heat)
-            return OrderedLayer(laid, islands, ranks, chosen_options(order, islands, ranks, heat))
+            return OrderedLayer.of(order, laid, islands, heat)
 
         yield from _prepared(stack, cold)
         return
@@ -168,16 +176,16 @@ def ordered_on(
         part = part.under(None if cold is None else cold.model)
         shape = LayerShape.of(islands.section, thickness_mm)
         begins = None if cold is None else _warmed(cold, ready, part, last) if carry else cold
-        ranks = scan_order(order, islands, begins)
-        ordered = OrderedLayer(laid, islands, ranks, chosen_options(order, islands, ranks, begins))
+        ordered = OrderedLayer.of(order, laid, islands, begins)
         if islands.section.area <= 0.0:
             return ordered, part, last
-        beads, travel_mm = bead_sequence(laid, ready.contours, config, cold, ranks, ordered.options)
+        sequence = ordered.order, ordered.options
+        beads, travel_mm = bead_sequence(laid, ready.contours, config, cold, *sequence)
         if power_of is not None:
             beads = replace(beads, power=power_of(ordered, thickness_mm))
         guess = 0.0 if last is None else last.power_share
         done = cooled_layer(LayerJob(beads, shape, islands.height_mm, lowest), part, config, guess)
-    heat = _layer_heat(done, travel_mm, beads, len(ranks), config)
+    heat = _layer_heat(done, travel_mm, beads, len(islands), config)
     return replace(ordered, heat=heat), done.after, done
 
 
@@ -201,17 +209,15 @@ def _prepared(stack: Stack, prepare: Callable[[int], _Prepared]) -> Iterator[_Pr
 
     With each layer that is taken one more is begun, so that the work goes on evenly beside that of who takes them.
     """
-    count = len(stack)
     if thread_count() == 1:
-        yield from map(prepare, range(count))
+        yield from map(prepare, range(len(stack)))
         return
-    threads = worker_threads()
+    threads, left = worker_threads(), iter(range(len(stack)))
     try:
-        coming = deque(threads.submit(prepare, k) for k in range(min(AHEAD, count)))
-        for k in range(count):
+        coming = deque(threads.submit(prepare, k) for k in itertools.islice(left, AHEAD))
+        while coming:
             ready = coming.popleft().result()
-            if k + AHEAD < count:
-                coming.append(threads.submit(prepare, k + AHEAD))
+            coming.extend(threads.submit(prepare, k) for k in itertools.islice(left, 1))
             yield ready
     finally:
         threads.shutdown(cancel_futures=True)
