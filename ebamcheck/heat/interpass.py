@@ -209,7 +209,7 @@ class _Run:
         beads, first = self._job.beads, bead == 0
         checked = first or self._every
         move_s = float(beads.move_s[bead]) + (self._pause_s if first else 0.0)
-        rise_s, shape = float(beads.rise_s[bead]), beads.shape(bead)
+        rise_s, shape = float(beads.rise_s[bead]), beads.shapes[bead]
         part, before, aged = self.part, self._own_apart(bead), AgedColumns(self.part.column)
 
         def away_s(wait_s: float) -> float:

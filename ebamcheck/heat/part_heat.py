@@ -9,7 +9,9 @@ that nothing is counted twice.
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -58,10 +60,11 @@ class Beads:
         """Return the number of beads."""
         return len(self.move_s)
 
-    def shape(self, bead: int) -> Floats:
-        """Mean of the modes over a bead, (K,)."""
-        a, b = self.first[bead : bead + 2]
-        return np.asarray(self.pieces[:, a:b] @ self.time_s[a:b] / self.time_s[a:b].sum(), np.float64)
+    @cached_property
+    def shapes(self) -> list[Floats]:
+        """Means of the modes over each bead, (K,), the same however often the layer is simulated."""
+        spans = [slice(*span) for span in itertools.pairwise(self.first.tolist())]
+        return [self.pieces[:, at] @ self.time_s[at] / self.time_s[at].sum() for at in spans]
 
 
 class AgedColumns:

@@ -142,6 +142,8 @@ def bare_spots(
 def _boxes(bare: BareSamples, least_mm2: float) -> NDArray[np.object_]:
     """Boxes around the patches of bare samples, one sample wider."""
     labels, count = ndimage.label(bare.grid, structure=np.ones((3, 3)))
+    if not count:
+        return np.zeros(0, object)
     sizes = np.bincount(labels.ravel(), minlength=count + 1)[1:]
     places = zip(ndimage.find_objects(labels), sizes * bare.step_mm**2, strict=True)
     large = [place for place, area_mm2 in places if place is not None and area_mm2 >= least_mm2]
