@@ -294,8 +294,14 @@ def preheated(
     if not asked_for(k, config) or sections[k].area <= 0.0:
         return part, 0
     on, bare = scanned(sections, k, z_mm, config, under), k == 0 and under is None
-    if on.region.is_empty or not (bare or is_cold(part.column, config)):
+    if on.region.is_empty:
         return part, 0
+    if not bare:
+        # Colder than the target once the surface has had as long to even out as after a scan.
+        rested = part.column.copy()
+        rested.advance(max(config.preheat.soak_s, LEAST_REST_S))
+        if not rested.surface_k < config.preheat.target_k:
+            return part, 0
     column = bare_plate(on.body, config) if bare else part.column.copy()
     depth_mm = config.process.base_plate_mm + on.z_mm
     surface = SurfaceHeat(column, on.body, on.region, depth_mm, config)
@@ -308,13 +314,6 @@ def preheated(
         after.column = heat.column
         after.field.age(time_s)
     return after, passes
-
-
-def is_cold(column: HeatColumn, config: Config) -> bool:
-    """Whether what stands is colder than the target once its surface has had as long to even out as after a scan."""
-    rested = column.copy()
-    rested.advance(max(config.preheat.soak_s, LEAST_REST_S))
-    return rested.surface_k < config.preheat.target_k
 
 
 def _simulated(heat: SurfaceHeat, region: BaseGeometry, config: Config) -> tuple[SurfaceHeat, int, float]:

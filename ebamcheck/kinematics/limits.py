@@ -14,7 +14,6 @@ from ebamcheck.layers.stack import Layers
 from ebamcheck.nc.motions import ARC, RAPID, STRAIGHT
 from ebamcheck.program import NCProgram
 from ebamcheck.settings.config import Config
-from ebamcheck.settings.machine import KinematicsSettings
 from ebamcheck.threads import block_edges, run_in_order
 
 DEGENERATE = 1e-9  # Share of a motion's length under which a derivative has no direction
@@ -22,7 +21,7 @@ DEGENERATE = 1e-9  # Share of a motion's length under which a derivative has no 
 
 @dataclass(frozen=True, eq=False)
 class DrivenPath:
-    """Motions (B,) of positive length in their order, with what the feed profile needs of each."""
+    """Motions (B,) of positive length in their order, as the feed profile needs them."""
 
     row: Ints  # row of the program, or number of the segment of a polyline
     run: Ints  # number of the unbroken run; the axes stand still between runs
@@ -101,7 +100,6 @@ def program_path(nc: NCProgram, config: Config) -> DrivenPath:
     arc, coefficients = nc.kind[rows] == ARC, np.nan_to_num(nc.coefficients[rows], nan=0.0)
     straight = (nc.kind[rows] == STRAIGHT) | rapid[rows]
     coefficients[straight] = _line_coefficients(nc.start[rows[straight], :2], nc.end[rows[straight], :2])
-    centre = np.where(arc[:, None], nc.arc[rows, :2], np.nan)
     return DrivenPath(
         row=rows,
         run=np.cumsum(stopped[:-1], dtype=np.int64)[rows],
@@ -111,7 +109,7 @@ def program_path(nc: NCProgram, config: Config) -> DrivenPath:
         start=nc.start[rows],
         end=nc.end[rows],
         coefficients=coefficients,
-        centre=centre,
+        centre=np.where(arc[:, None], nc.arc[rows, :2], np.nan),
         sweep_rad=np.where(arc, nc.arc[rows, 2], np.nan),
         feed_mm_s=feed,
         length_mm=nc.lengths[rows],
@@ -175,8 +173,12 @@ class Cells:
 
 def cells_of(path: DrivenPath, config: Config) -> Cells:
     """Divide a path, and find the speed that its curvature, its corners and the axes allow."""
-    axes = config.kinematics
-    parts = np.where(path.is_curved, _parts(path, axes), 1)
+    axes, feed = config.kinematics, path.feed_mm_s
+    # Cells of a curved motion are half as long as a ramp from rest to the feed.
+    a, j = min(axes.axis_acceleration_mm_s2[:2]), min(axes.axis_jerk_mm_s3[:2])
+    ramp_s = np.where(feed * j < a * a, 2.0 * np.sqrt(feed / j), feed / a + a / j)
+    parts = np.clip(np.ceil(path.length_mm / (0.5 * feed * ramp_s)), 1, 64).astype(np.int64)
+    parts = np.where(path.is_curved, parts, 1)
     motion = np.repeat(np.arange(len(path)), parts)
     starts = np.concatenate([[0], np.cumsum(parts)]).astype(np.int64)
     index = np.arange(motion.size) - starts[:-1][motion]
@@ -197,31 +199,21 @@ def cells_of(path: DrivenPath, config: Config) -> Cells:
     most = np.minimum(feed, _along(direction, np.array(axes.axis_speed_mm_s)))
     # Speed around a curvature: v^2 k within its share of the acceleration, v^3 k^2 within the jerk. A cusp has no curvature, and the
     # axes go through it somehow.
-    a, j = axes.curvature_share * min(axes.axis_acceleration_mm_s2[:2]), min(axes.axis_jerk_mm_s3[:2])
     with np.errstate(divide="ignore"):
-        around = np.minimum(np.sqrt(a / curvature), np.cbrt(j / curvature**2))
+        around = np.minimum(np.sqrt(axes.curvature_share * a / curvature), np.cbrt(j / curvature**2))
     most = np.minimum(most, np.maximum(around, 1e-3 * feed))
     acceleration = _along(direction, np.array(axes.axis_acceleration_mm_s2))
     jerk = _along(direction, np.array(axes.axis_jerk_mm_s3))
     curved = path.is_curved[motion]
     # Across any direction of travel in X and Y, the least of both axes holds; what curvature takes is not left.
     rest = math.sqrt(1.0 - axes.curvature_share**2)
-    acceleration[curved] = rest * min(axes.axis_acceleration_mm_s2[:2])
-    jerk[curved] = rest * min(axes.axis_jerk_mm_s3[:2])
+    acceleration[curved], jerk[curved] = rest * a, rest * j
     entry = np.full(motion.size, np.inf)
     entry[starts[:-1]] = corner_speeds(path, config)
     first = np.zeros(motion.size, np.bool_)
     first[starts[:-1]] = np.diff(path.run, prepend=-1) != 0
     entry[first] = 0.0
     return Cells(motion, length, most, acceleration, jerk, entry, first)
-
-
-def _parts(path: DrivenPath, axes: KinematicsSettings) -> Ints:
-    """Cells of each motion (B,) if it is curved."""
-    a, j = min(axes.axis_acceleration_mm_s2[:2]), min(axes.axis_jerk_mm_s3[:2])
-    feed = path.feed_mm_s
-    ramp_s = np.where(feed * j < a * a, 2.0 * np.sqrt(feed / j), feed / a + a / j)
-    return np.clip(np.ceil(path.length_mm / (0.5 * feed * ramp_s)), 1, 64).astype(np.int64)
 
 
 def _along(direction: Floats, limits: Floats) -> Floats:

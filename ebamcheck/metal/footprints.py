@@ -147,8 +147,9 @@ def balanced_widths(
     # Cells that count less, or that pools only touch, miss some of a layer: all beads lay it together, but for those at a limit,
     # whose places ask for less, or for more, than they get.
     free = (width > limits_mm[0]) & (width < limits_mm[1])
-    both = width, np.where(free, width, 0.0)
-    laid, by_free = (found.laid(some, share.size, cell_mm2).sum() for some in both)
+    laid, by_free = (
+        found.laid(some, share.size, cell_mm2).sum() for some in (width, np.where(free, width, 0.0))
+    )
     if by_free <= 0.0:
         return width
     # Walls a little wider than a bead would get under three quarters of their metal.

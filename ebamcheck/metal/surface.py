@@ -32,8 +32,7 @@ def bead_centres(inside: Bools, bead_cells: float) -> Bools:
 
 
 def reachable(inside: Bools, bead_cells: float) -> Bools:
-    """Cells of a section that some bead inside of it builds: all but what only flanks reach, and walls under a bead; parameters as
-    of :func:`bead_centres`.
+    """Cells of a section that some bead inside of it builds: all but those that only flanks reach, and walls under a bead.
 
     >>> reachable(np.pad(np.ones((8, 9), bool), 1), 6.0)[1:-1, 1:-1].sum(axis=1)
     array([5, 7, 9, 9, 9, 9, 7, 5])
@@ -116,7 +115,7 @@ class Surface:
             metal = inside & ((laid_mm >= REACHED * thickness_mm) | reachable(inside, self._bead))
             before = np.where(self._share[at] > 0.0, self._over_mm[at], 0.0)
             fields = target.share, laid_mm - thickness_mm * target.share
-            share, excess = (gathered(field, target.share, metal) for field in fields)
+            share, excess = (_with_rims(field, target.share, metal) for field in fields)
             raised = before + np.divide(excess, share, out=np.zeros_like(share), where=metal)
             built[at] = share
             over[at] = levelled(raised, share, self._bead)
@@ -129,14 +128,12 @@ class Surface:
         return slice(row, row + target.share.shape[0]), slice(column, column + target.share.shape[1])
 
 
-def gathered(field: Floats, share: Floats, metal: Bools) -> Floats:
+def _with_rims(field: Floats, share: Floats, metal: Bools) -> Floats:
     """A field (rows, columns) on the cells of metal alone, each with that of the nearest cells under :data:`HALF`: no rim loses
     area or metal."""
-    found = np.where(metal, field, 0.0)
-    parts = (share > 0.0) & (share < HALF)
-    if metal.any() and parts.any():
-        moved_to_neighbours(found, field, parts, metal)
-    return found
+    result = np.where(metal, field, 0.0)
+    moved_to_neighbours(result, field, (share > 0.0) & (share < HALF), metal)
+    return result
 
 
 def levelled(height: Floats, share: Floats, bead_cells: float) -> Floats:

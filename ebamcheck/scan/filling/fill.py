@@ -252,7 +252,10 @@ def _beads_over(
     # The rest of half a bead is sagitta of the arcs and tolerance of the machine.
     reach_mm = 0.5 * 0.97 * bead_width_mm
     hull = shapely.get_coordinates(shapely.convex_hull(spot))[:-1]
-    way = _long_way(hull)
+    # Along the long axis of the spot: the greatest spread of its corners.
+    centred = hull - hull.mean(axis=0)
+    way = np.linalg.eigh(centred.T @ centred)[1][:, 1]
+    way = way if (way[0], way[1]) > (0.0, 0.0) else -way
     # All points from which the whole spot is within reach.
     around = shapely.intersection_all(shapely.buffer(shapely.points(hull), reach_mm, quad_segs=ARC_SEGMENTS))
     for allowed in (free, region):
@@ -260,7 +263,11 @@ def _beads_over(
         if here:
             # As much metal as is missing, but no line that is too short to be driven.
             length = max(spot.area / spacing_mm, 2.0 * SHORTEST_LINE * bead_width_mm)
-            centre = _deepest(here, region)
+            # The point that lies deepest in the region.
+            inner = [p.representative_point() for p in here]
+            points = np.vstack([shapely.get_coordinates([*inner, p]) for p in here])
+            depth = shapely.distance(shapely.points(points), shapely.boundary(region))
+            centre = points[int(np.argmax(depth))]
             line = shapely.LineString([centre - 0.5 * length * way, centre + 0.5 * length * way])
             cut = [p for p in shapely.get_parts(shapely.intersection(line, allowed)) if p.length > 0.0]
             return sorted(cut, key=lambda p: float(p.distance(shapely.Point(centre))))[:1]
@@ -271,22 +278,6 @@ def _beads_over(
     if left <= 0.02 * spot.area and len(pieces) == 1:
         return pieces
     return [shapely.LineString(line) for line in wall_lines(spot, bead_width_mm, spacing_mm)] or pieces
-
-
-def _long_way(hull: Floats) -> Floats:
-    """Unit vector along the long axis of a spot: that of the greatest spread of its corners."""
-    centred = hull - hull.mean(axis=0)
-    _, vectors = np.linalg.eigh(centred.T @ centred)
-    way = vectors[:, 1]
-    return np.asarray(way if (way[0], way[1]) > (0.0, 0.0) else -way, np.float64)
-
-
-def _deepest(parts: Sequence[shapely.Polygon], region: BaseGeometry) -> Floats:
-    """Point of some polygons that lies furthest from the border of a region."""
-    inner = [p.representative_point() for p in parts]
-    points = np.vstack([shapely.get_coordinates([*inner, p]) for p in parts])
-    depth = shapely.distance(shapely.points(points), shapely.boundary(region))
-    return np.asarray(points[int(np.argmax(depth))], np.float64)
 
 
 def _trimmed(hull: Floats, way: Floats, reach_mm: float) -> shapely.LineString:

@@ -190,11 +190,6 @@ def column(polygons: Sequence[BaseGeometry]) -> NDArray[np.object_]:
     return found
 
 
-def centroids(islands: NDArray[np.object_]) -> Floats:
-    """Centroid of each island, (I, 2) mm."""
-    return np.asarray(shapely.get_coordinates(shapely.centroid(islands)), np.float64).reshape(-1, 2)
-
-
 # -- Which islands of a layer touch, and along which length ----------------------------------------------------
 
 TOUCH_MM = (

@@ -176,8 +176,10 @@ def greedy_order(
     count, columns = len(schedule), (schedule.entry, schedule.leave, schedule.time_s, rapid_mm_s)
     late = heat.modes.late(heat.fresh.horizon_s)
     layer = _Heated(heat.modes, late, heat.fresh, beside, *columns, price_k_mm, start_k)
-    ints, floats = np.zeros((2, count), np.int64), np.zeros((5, count))
-    plan = _Greedy(ints[0], *floats[:2], ints[1], np.zeros(count, np.bool_), *floats[2:])
+    order, option = np.zeros((2, count), np.int64)
+    start_s, end_s, jump_mm, mean_k, entry_k = np.zeros((5, count))
+    scanned = np.zeros(count, np.bool_)
+    plan = _Greedy(order, start_s, end_s, option, scanned, jump_mm, mean_k, entry_k)
     # No jump is longer than both sides of the bounding rectangle.
     latest_s = float(np.ptp(schedule.entry, axis=(0, 1)).sum()) / rapid_mm_s
     coolest_first(layer, plan, first, heat.modes.mean.copy(), heat.start_k, latest_s)

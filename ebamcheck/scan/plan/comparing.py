@@ -70,13 +70,16 @@ class OrderResult:
         """Figures as :data:`FIGURES` names them."""
         row = self.plan.metrics.iloc[0]
         of_plan = ("islands", "interval_p10_s", "interval_min_s", "starts", "time_s")
-        found = dict.fromkeys(FIGURES, math.nan) | {name: float(row[name]) for name in of_plan}
-        found["travel_mm"] = self.travel_mm
+        figures = dict.fromkeys([name for name in FIGURES if name not in ("order", "seeds")], math.nan)
+        figures |= {name: float(row[name]) for name in of_plan} | {"travel_mm": self.travel_mm}
         if len(self.entry_k):
-            found |= {"entry_max_k": float(self.entry_k.max()), "entry_sd_k": float(self.entry_k.std())}
-            found |= {"entry_point_max_k": float(self.point_k.max()), "touching": float(self.touching.mean())}
-            found["excess_uniformity"] = float(self.excess.mean())
-        return {name: found[name] for name in FIGURES if name not in ("order", "seeds")}
+            figures |= {"entry_max_k": float(self.entry_k.max()), "entry_sd_k": float(self.entry_k.std())}
+            figures |= {
+                "entry_point_max_k": float(self.point_k.max()),
+                "touching": float(self.touching.mean()),
+            }
+            figures["excess_uniformity"] = float(self.excess.mean())
+        return figures
 
 
 def compared_orders() -> tuple[str, ...]:

@@ -87,7 +87,7 @@ def lay_islands(
         height_mm=height_mm,
         side_mm=side_mm,
         regions=regions,
-        centroid=cells.centroids(filled.islands),
+        centroid=shapely.get_coordinates(shapely.centroid(filled.islands)),
         neighbours=neighbours,
         border_mm=border_mm,
     )

@@ -238,7 +238,7 @@ def simulate_order(plan: ScanPlan, config: Config) -> pd.DataFrame:
     inner[first] = 0.0
 
     def total(values: Floats) -> Floats:
-        return np.bincount(island, values, minlength=count)[order]
+        return np.asarray(np.bincount(island, values, minlength=count)[order], np.float64)
 
     return pd.DataFrame(
         {
