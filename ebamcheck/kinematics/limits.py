@@ -155,6 +155,7 @@ SMOOTHING_WORDS = ("G641", "G642", "G643", "G644", "G645")
 EXACT_STOP_WORDS = ("G60", "G9")
 # Half a break of direction that is none: the last decimals of a program turn a short block by this
 SMOOTH_RAD = 1e-5
+STRAIGHT_RADIUS_MM = 1e9  # a corner that may be rounded with a larger radius is none
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,8 +176,9 @@ def cells_of(path: DrivenPath, config: Config) -> Cells:
     """Divide a path, and find the speed that its curvature, its corners and the axes allow."""
     axes, feed = config.kinematics, path.feed_mm_s
     # Cells of a curved motion are half as long as a ramp from rest to the feed.
-    a, j = min(axes.axis_acceleration_mm_s2[:2]), min(axes.axis_jerk_mm_s3[:2])
-    ramp_s = np.where(feed * j < a * a, 2.0 * np.sqrt(feed / j), feed / a + a / j)
+    least_a, j = min(axes.axis_acceleration_mm_s2[:2]), min(axes.axis_jerk_mm_s3[:2])
+    slow_s, fast_s = 2.0 * np.sqrt(feed / j), feed / least_a + least_a / j
+    ramp_s = np.where(feed * j < least_a * least_a, slow_s, fast_s)
     parts = np.clip(np.ceil(path.length_mm / (0.5 * feed * ramp_s)), 1, 64).astype(np.int64)
     parts = np.where(path.is_curved, parts, 1)
     motion = np.repeat(np.arange(len(path)), parts)
@@ -199,15 +201,16 @@ def cells_of(path: DrivenPath, config: Config) -> Cells:
     most = np.minimum(feed, _along(direction, np.array(axes.axis_speed_mm_s)))
     # Speed around a curvature: v^2 k within its share of the acceleration, v^3 k^2 within the jerk. A cusp has no curvature, and the
     # axes go through it somehow.
+    a = axes.curvature_share * least_a
     with np.errstate(divide="ignore"):
-        around = np.minimum(np.sqrt(axes.curvature_share * a / curvature), np.cbrt(j / curvature**2))
+        around = np.minimum(np.sqrt(a / curvature), np.cbrt(j / curvature**2))
     most = np.minimum(most, np.maximum(around, 1e-3 * feed))
     acceleration = _along(direction, np.array(axes.axis_acceleration_mm_s2))
     jerk = _along(direction, np.array(axes.axis_jerk_mm_s3))
     curved = path.is_curved[motion]
     # Across any direction of travel in X and Y, the least of both axes holds; what curvature takes is not left.
     rest = math.sqrt(1.0 - axes.curvature_share**2)
-    acceleration[curved], jerk[curved] = rest * a, rest * j
+    acceleration[curved], jerk[curved] = rest * least_a, rest * j
     entry = np.full(motion.size, np.inf)
     entry[starts[:-1]] = corner_speeds(path, config)
     first = np.zeros(motion.size, np.bool_)
@@ -272,8 +275,8 @@ def corner_speeds(path: DrivenPath, config: Config) -> Floats:
     room = 0.5 * np.minimum(path.length_mm[:-1], path.length_mm[1:])
     with np.errstate(divide="ignore", invalid="ignore"):
         radius = tolerance_mm * np.cos(half) / (2.0 * np.sin(0.5 * half) ** 2)
-        # A corner that may be rounded with a larger radius than a kilometre is none.
-        radius = np.nan_to_num(np.minimum(np.minimum(radius, room / np.tan(half)), 1e9), nan=0.0)
+        radius = np.minimum(np.minimum(radius, room / np.tan(half)), STRAIGHT_RADIUS_MM)
+        radius = np.nan_to_num(radius, nan=0.0)
     # The acceleration v^2 / r rises over half the arc, r p / 2, and falls over the other half.
     rounded = np.minimum(np.sqrt(a * radius), np.cbrt(j * radius**2 * half))
     sides = (before, np.ones(before.size)), (after, np.zeros(after.size))

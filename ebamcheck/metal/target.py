@@ -14,6 +14,7 @@ from ebamcheck.kernels import Bools, Floats, Ints, kernel
 
 CELLS_PER_BEAD = 6  # cells across a bead: a third of the half bead that a height field has to resolve
 
+ROUNDING = 1e-9  # shares under this are the rounding of a sum along a row of cells
 REACHED = 0.07  # height of metal over that of the layer under which a place is bare: the tip of a corner, which no bead builds
 MOST_CELLS = 4_000_000  # cells of one layer at most; a larger one gets coarser cells
 
@@ -49,7 +50,7 @@ def target_of(section: BaseGeometry, step_mm: float, margin_mm: float) -> Target
     origin = low * step_mm
     points, (ring_starts, _) = oriented_rings(polygons, origin, np.full(2, step_mm))
     share = np.clip(cell_shares(points, ring_starts, rows, columns), 0.0, 1.0)
-    share[share < 1e-9] = 0.0  # the rounding of a sum along a row of cells
+    share[share < ROUNDING] = 0.0
     return Target(origin, step_mm, share)
 
 
