@@ -23,7 +23,6 @@ from ebamcheck.scan.islands.clipping import (
     hatch_directions,
     least_island_mm,
     least_turn_deg,
-    long_direction_deg,
     partition,
     polygon_edges,
     shared_borders,
@@ -31,7 +30,7 @@ from ebamcheck.scan.islands.clipping import (
     sliver_groups,
     turn_between_deg,
 )
-from ebamcheck.scan.islands.lattice import LATTICES, rectangle_along
+from ebamcheck.scan.islands.lattice import LATTICES, long_direction_rad, rectangle_along
 from ebamcheck.scan.islands.regions import layer_regions
 from ebamcheck.settings.config import Config
 
@@ -191,7 +190,7 @@ def test_a_wide_island_turns_away_from_a_narrow_one():
     plate_deg, strip_deg = np.degrees(check_directions(found, 0.0, 60.0))
     assert strip_deg % 180.0 == pytest.approx(0.0)
     assert plate_deg == pytest.approx(60.0)
-    assert long_direction_deg(affinity.rotate(strip, 25)) % 180.0 == pytest.approx(25.0)
+    assert math.degrees(long_direction_rad(affinity.rotate(strip, 25))) % 180.0 == pytest.approx(25.0)
 
 
 def test_no_turn_from_island_to_island_leaves_the_layer_one_direction():

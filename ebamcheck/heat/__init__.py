@@ -1,8 +1,8 @@
 """Heat of a layer and of a whole program: conduction in modes of the outline and a balance along z.
 
-The modal model takes the body as the section extruded down to its base. Its temperature rise is a sum of products of a mode of
-the outline (:mod:`~ebamcheck.heat.modes`) and one of the depth (:mod:`~ebamcheck.heat.model`; Carslaw & Jaeger 1959). Each
-decays by itself, so a time step of any length is exact (:mod:`~ebamcheck.heat.model`).
+The modal model takes the body as the section extruded down to its base. Its temperature rise is a sum of products of a mode of the
+outline (:mod:`~ebamcheck.heat.modes`) and one of the depth (:mod:`~ebamcheck.heat.model`; Carslaw & Jaeger 1959). Each decays by
+itself, so a time step of any length is exact.
 """
 
 from __future__ import annotations
@@ -20,16 +20,7 @@ if TYPE_CHECKING:
     from ebamcheck.heat.modes import ContourModes as ContourModes
     from ebamcheck.heat.modes import contour_modes as contour_modes
 
-__all__ = [
-    "ContourModes",
-    "DepthModes",
-    "HeatModel",
-    "Medium",
-    "carried",
-    "contour_modes",
-    "depth_modes",
-]
-
+# Module of each name, loaded on first use: limits and the balance need no modes, and modes load much of SciPy
 _HOMES = {
     "ContourModes": "modes",
     "DepthModes": "model",
@@ -39,6 +30,4 @@ _HOMES = {
     "contour_modes": "modes",
     "depth_modes": "model",
 }
-"""Module of each name, loaded on first use: limits and the balance need no modes, and modes load much of SciPy."""
-
 __getattr__ = on_demand(__name__, _HOMES)

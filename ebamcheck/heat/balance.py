@@ -21,7 +21,9 @@ put in equals that stored, passed to the table and radiated, to rounding.
 from __future__ import annotations
 
 import math
+from copy import copy
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -32,16 +34,11 @@ from ebamcheck.heat.medium import STEFAN_BOLTZMANN_W_M2K4, EnthalpyTables, entha
 from ebamcheck.kernels import Floats, Ints, kernel
 from ebamcheck.settings.config import Config
 
-LARGEST_CELL_MM = 2.5
-"""Largest height of a cell of the column: heat spreads over 20 times as far during a layer of one minute."""
-
+LARGEST_CELL_MM = 2.5  # largest height of a cell of the column: heat spreads over 20 times as far during a layer of one minute
+# Largest height of a joined cell of layers below, over its depth under the surface: the temperature field below a heated surface
+# is the smoother the deeper it is
 GROWTH = 0.05
-"""Largest height of a joined cell of layers below, over its depth under the surface: the temperature field below a heated
-surface is the smoother the deeper it is."""
-
-JOINED_FROM_MM = 10.0
-"""Depth from which cells are joined."""
-
+JOINED_FROM_MM = 10.0  # depth from which cells are joined
 NO_TIME: Floats = np.zeros(1)
 
 
@@ -71,36 +68,28 @@ class LayerShape:
 
 @dataclass(eq=False)
 class HeatColumn:
-    """The column at one moment of a program; it grows by :meth:`lay`, and time passes by :meth:`advance`.
+    """The column at one moment of a program; it grows by :meth:`lay`, and time passes by :meth:`advance`."""
 
-    `config`: settings: plate, base, chamber and material; `tables`: tables of the material; None: those of the settings'
-    material.
-    """
-
-    config: Config
-    tables: EnthalpyTables | None = None
+    config: Config  # plate, base, chamber and material
+    tables: EnthalpyTables | None = None  # of the material; None: of that of the settings
     absorbed_j: float = 0.0
     base_j: float = 0.0
     radiated_j: float = 0.0
+    # (n,) heat content of the cells above that at ambient temperature, from the base up, J/mm^3
     content: Floats = field(default_factory=lambda: np.zeros(0))
-    """(n,) heat content of the cells above that at ambient temperature, from the base up, J/mm^3."""
+    # The same of the base plate before the first layer, if it was preheated; empty: it is cold
     warm_plate: Floats = field(default_factory=lambda: np.zeros(0))
-    """The same for the base plate before the first layer, if it was preheated; empty: it is cold."""
-    _cells: Floats = field(default_factory=lambda: np.zeros((5, 0)))
-    _top: int = 0
-    _under: int = 0
-    _fields: ColumnFields | None = None
-    """The cells in the form that kernels read; None before there are any."""
+    _cells: Floats = field(
+        default_factory=lambda: np.zeros((5, 0))
+    )  # height of each, then as in :class:`LayerShape`
+    _top: int = 0  # first cell of the uppermost layer
+    _under: int = 0  # first cell of the layer under it
+    _fields: ColumnFields | None = None  # the cells in the form that kernels read; None before there are any
 
-    def __post_init__(self) -> None:
-        """Use the material of the settings if no tables are given."""
-        if self.tables is None:
-            self.tables = enthalpy_tables(self.config)
-
-    @property
-    def _material(self) -> EnthalpyTables:
-        assert self.tables is not None
-        return self.tables
+    @cached_property
+    def material(self) -> EnthalpyTables:
+        """Tables of the material."""
+        return enthalpy_tables(self.config) if self.tables is None else self.tables
 
     @property
     def edges_mm(self) -> Floats:
@@ -110,7 +99,7 @@ class HeatColumn:
     @property
     def temperature_k(self) -> Floats:
         """(n,) absolute temperatures of the cells."""
-        return self._material.temperature(self.content)
+        return self.material.temperature(self.content)
 
     @property
     def surface_k(self) -> float:
@@ -118,14 +107,14 @@ class HeatColumn:
         if not len(self.content):
             return self._bare_k
         size = self._cells[0, self._top :]
-        return float(self._material.temperature(self.content[self._top :]) @ size / size.sum())
+        return float(self.material.temperature(self.content[self._top :]) @ size / size.sum())
 
     @property
     def _bare_k(self) -> float:
         """Temperature of the bare base plate, before the first layer, K."""
         if not len(self.warm_plate):
             return self.config.process.ambient_temperature_k
-        return float(self._material.temperature(self.warm_plate[-1]))
+        return float(self.material.temperature(self.warm_plate[-1]))
 
     @property
     def bed_k(self) -> float:
@@ -149,10 +138,9 @@ class HeatColumn:
 
     def copy(self) -> HeatColumn:
         """Return an independent copy of the column."""
-        return HeatColumn(
-            self.config, self.tables, self.absorbed_j, self.base_j, self.radiated_j,
-            self.content.copy(), self.warm_plate, self._cells, self._top, self._under, self._fields,
-        )  # fmt: skip
+        other = copy(self)
+        other.content = self.content.copy()
+        return other
 
     def lay(self, shape: LayerShape) -> None:
         """Lay a cold layer on top; the first layer also adds the plate under it."""
@@ -162,8 +150,7 @@ class HeatColumn:
                 self.content[:] = self.warm_plate
         self._under, self._top = self._top, len(self.content)
         self._stack(shape)
-        joined = joined_cells(self._cells[0], self._cells[1], self._cells[4], self._under)
-        self._join(joined)
+        self._join(joined_cells(self._cells[0], self._cells[1], self._cells[4], self._under))
         self._update_fields()
 
     def lay_plate(self, area_mm2: float) -> None:
@@ -176,7 +163,7 @@ class HeatColumn:
         """Compute the radiating surface of each cell, and the fields for the kernels."""
         size, area, outer, inner, hole = self._cells
         surface_mm2 = radiating_mm2(size, area, outer, inner, hole, self.config.material.emissivity)
-        process, material = self.config.process, self._material
+        process, material = self.config.process, self.material
         self._fields = (
             material.temperature_k,
             material.theta_w_mm,
@@ -190,9 +177,10 @@ class HeatColumn:
 
     def _stack(self, shape: LayerShape) -> None:
         count = max(1, math.ceil(shape.thickness_mm / LARGEST_CELL_MM))
-        row = [shape.thickness_mm / count, shape.area_mm2, shape.outer_mm, shape.inner_mm, shape.hole_mm2]
-        self._cells = np.column_stack([self._cells, np.tile(np.array(row)[:, None], count)])
-        self._cells = np.ascontiguousarray(self._cells)
+        cell = [shape.thickness_mm / count, shape.area_mm2, shape.outer_mm, shape.inner_mm, shape.hole_mm2]
+        self._cells = np.ascontiguousarray(
+            np.column_stack([self._cells, np.tile(np.array(cell)[:, None], count)])
+        )
         self.content = np.concatenate([self.content, np.zeros(count)])
 
     def _join(self, owner: Ints) -> None:
@@ -223,20 +211,19 @@ class HeatColumn:
     ) -> tuple[Floats, Floats]:
         """Heat the uppermost layer bead by bead: :meth:`advance` over the time before each bead, then over its own.
 
-        `beads`: time with the beam off before each bead, s, its own time, s, and the energy taken up in it, J; (n,) each;
-        `limit_k`: interpass temperature: the wait before a bead ends once the metal under it is no warmer; `longest_s`:
-        after a longer wait for one bead the remaining beads are left out.
-
-        Returns `bed_k`, `wait_s`: (n,) temperature of the metal under each bead when the beam arrives, K, and the wait
-        before it, s.
+        The wait before a bead ends once the metal under it is no warmer than `limit_k`, the interpass temperature; after a wait longer
+        than `longest_s` the beads that are left are left out. Returns the temperature (n,) of the metal under each bead when the beam
+        arrives, K, and the wait before it (n,), s.
         """
         if self._fields is None:
             bed_k = np.full(len(beads[0]), self._bare_k)
             return bed_k, np.where(bed_k > limit_k, math.inf, 0.0)
         counted = np.array([self.absorbed_j, self.base_j, self.radiated_j])
-        found = driven(self.content, self._fields, self._under, self._top, beads, limit_k, longest_s, counted)
+        result = driven(
+            self.content, self._fields, self._under, self._top, beads, limit_k, longest_s, counted
+        )
         self.absorbed_j, self.base_j, self.radiated_j = counted.tolist()
-        return found
+        return result
 
 
 def radiating_mm2(
@@ -277,52 +264,41 @@ def joined_cells(size: Floats, area: Floats, hole: Floats, under: int) -> Ints:
     return np.asarray(owner[0] - owner, np.int64)
 
 
+# Time steps of a layer or a wait, growing from short ones because a heated surface follows a square root law of time; and the
+# fewer steps of a time no longer than SHORT_S, such as that of a bead or a move
 STEPS, FEW_STEPS, SHORT_S = 8, 4, 15.0
-"""Time steps of a layer or a wait, growing from short ones because a heated surface follows a square root law of time; and the
-fewer steps of a time no longer than SHORT_S, such as that of a bead or a move."""
-
+# Most iterations of a time step, and the change of the heat content (0.3 mK) at which it has converged
 NEWTON_STEPS, NEWTON_J_MM3 = 60, 1e-6
-"""Most iterations of a time step, and the change of the heat content (0.3 mK) at which it has converged."""
-
+# Share of a time step in each of its two implicit stages: second order and L-stable (Alexander, SIAM J. Numer. Anal. 14 (1977)
+# 1006).
 STAGE = 1.0 - math.sqrt(0.5)
-"""Share of a time step in each of its two implicit stages: second order and L-stable (Alexander, SIAM J. Numer. Anal. 14
-(1977) 1006)."""
-
+# Largest change of the heat content in one iteration, about 300 K: melting and T^4 are too nonlinear for more
 LARGEST_CHANGE_J_MM3 = 1.0
-"""Largest change of the heat content in one iteration, about 300 K: melting and T^4 are too nonlinear for more."""
 
 
 class Column(NamedTuple):
-    """Cells of a heat column, from its base up, with the tables of their material.
+    """Cells of a heat column, from its base up, with the tables of their material at equal steps of the heat content."""
 
-    `temperature`, `theta`, `table_step`: tables of temperature, K, and heat potential, W/mm, at equal steps of the heat
-    content; that step, J/mm^3; `size`, `area`: (n,) height, mm, and section, mm^2, of the cells; `radiating`: (n,) power
-    that a cell radiates over T^4 - Ta^4, W/K^4; `ambient`: temperature of the chamber, K; `cooled`: whether the base is
-    held at the temperature of the table; else it is insulated.
-    """
-
-    temperature: Floats
-    theta: Floats
-    table_step: float
-    size: Floats
-    area: Floats
-    radiating: Floats
-    ambient: float
-    cooled: bool
+    temperature: Floats  # K
+    theta: Floats  # heat potential, W/mm
+    table_step: float  # J/mm^3
+    size: Floats  # (n,) height of the cells, mm
+    area: Floats  # (n,) section, mm^2
+    radiating: Floats  # (n,) power that a cell radiates over T^4 - Ta^4, W/K^4
+    ambient: float  # temperature of the chamber, K
+    cooled: bool  # whether the base is held at the temperature of the table; else it is insulated
 
 
+# The fields of a :class:`Column` as a plain tuple: numba types a named tuple in Python, which costs 10 us a call
 ColumnFields = tuple[Floats, Floats, float, Floats, Floats, Floats, float, bool]
-"""The fields of a :class:`Column` as a plain tuple: numba types a named tuple in Python, which costs 10 us a call."""
 
 
 class _Step(NamedTuple):
     """Columns (n,) of a time step: values with their derivatives by the heat content, and the tridiagonal equations."""
 
     volume: Floats
-    apart: Floats
-    """Length over section from the middle of the cell before to that of each; of the first, from the base."""
-    link: Floats
-    """Heat flow from the cell before per difference of the potential: 1 / `apart`."""
+    apart: Floats  # length over section from the middle of the cell before to that of each; of the first, from the base
+    link: Floats  # heat flow from the cell before per difference of the potential: 1 / `apart`
     flow: Floats
     flow_slope: Floats
     lost: Floats
@@ -431,13 +407,13 @@ def _newton_step(
     return largest
 
 
+# Least step of a wait, and least step over the wait so far: steps grow with the wait
 FIRST_WAIT_S, WAIT_GROWTH = 1.0, 0.5
-"""Least step of a wait, and least step over the wait so far: steps grow with the wait."""
 
 
 @kernel
 def bed_temperature_k(content: Floats, fields: ColumnFields, under: int, top: int) -> float:
-    """Mean temperature of the warmer one of the uppermost layer and that under it; NaN where a heat content is none, after a time
+    """Mean temperature of the warmer one of the uppermost layer and that under it; NaN where a heat content is NaN, after a time
     without end for instance."""
     table, step, size, warmest = fields[0], fields[2], fields[3], 0.0
     for start, stop in ((top, len(content)), (under, top)):
@@ -455,8 +431,8 @@ def bed_temperature_k(content: Floats, fields: ColumnFields, under: int, top: in
     return warmest
 
 
+# Time with the beam off before each bead, s, its own time, s, and the energy that the layer takes up in it, J; (n,) each
 BeadTimes = tuple[Floats, Floats, Floats]
-"""Time with the beam off before each bead, s, its own time, s, and the energy that the layer takes up in it, J; (n,) each."""
 
 
 @kernel
@@ -470,15 +446,10 @@ def driven(
     longest_s: float,
     counted: Floats,
 ) -> tuple[Floats, Floats]:
-    """Drive beads; `content` and what is `counted` (3,) go from their first to their last state.
+    """Drive beads as :meth:`HeatColumn.drive` says; `content` and `counted` (3,), the heat taken up, passed to the table, and
+    radiated, J, go from their first to their last state.
 
     All steps are taken in here: a wait takes dozens of them, and each alone would wait for the interpreter.
-
-    `content`, `fields`: as :func:`march` has them; `under`, `top`: first cell of the layer under the uppermost one, and of that;
-    `limit_k`: temperature of what a bead lies on above which it is waited for; endless for no waits; `longest_s`: after a longer
-    wait for one bead the rest is left out; `counted`: heat taken up, passed to the table, and radiated, J.
-
-    Returns (n,) temperature of what each bead lies on when the beam comes to it, K, and how long it is waited for, s.
     """
     off_s, time_s, energy_j = beads
     bed_k, waits_s = np.full(len(off_s), np.nan), np.zeros(len(off_s))
@@ -487,9 +458,8 @@ def driven(
         duration_s = time_s[bead] if laying else step_s if waiting else off_s[bead]
         if duration_s > 0.0:
             power_w = energy_j[bead] / duration_s if laying else 0.0
-            gone = march(
-                content, fields, top, power_w, duration_s, FEW_STEPS if duration_s <= SHORT_S else STEPS
-            )
+            steps = FEW_STEPS if duration_s <= SHORT_S else STEPS
+            gone = march(content, fields, top, power_w, duration_s, steps)
             counted[0] += energy_j[bead] if laying else 0.0
             counted[1] += gone[0]
             counted[2] += gone[1]

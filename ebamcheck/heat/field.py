@@ -14,22 +14,20 @@ import numpy as np
 from ebamcheck.heat.model import HeatModel
 from ebamcheck.kernels import Floats, Ints, kernel
 
-LEAST_DECAY = 1e-5
-"""Decays under which what a place leaves is the first terms of its series: a difference from 1 would lose more."""
-
-LEAST = -40.0
-"""Exponent under which :func:`falling` gives the power of this one, 4e-18: nothing beside 1."""
+LEAST_DECAY = 1e-5  # decays under which what a place leaves is the first terms of its series: a difference from 1 would lose more
+LEAST = -40.0  # exponent under which :func:`falling` gives the power of this one, 4e-18: nothing beside 1
 
 
 class Modes(NamedTuple):
-    """Islands as sources and readings: modes' means (K, I) over them, decays (K,) and (N,), means of the depth's modes over the
-    layer (N,), and the beam power on each over the heat capacity of a volume while it is scanned (I,)."""
+    """Islands as sources and readings of the modes of a section and of its depth."""
 
-    mean: Floats
-    plane_rate: Floats
-    depth_rate: Floats
-    in_layer: Floats
-    source_k_s: Floats
+    mean: Floats  # (K, I) means of the section's modes over the islands
+    plane_rate: Floats  # (K,) decays of these modes, 1/s
+    depth_rate: Floats  # (N,) the same of the depth's
+    in_layer: Floats  # (N,) means of the depth's modes over the layer
+    source_k_s: (
+        Floats  # (I,) beam power on each island while it is scanned, over the heat capacity of a volume
+    )
 
     def late(self, age_s: float) -> Modes:
         """Modes with sources and readings as small as their heat has become at an age."""
@@ -47,11 +45,10 @@ class Timetable(NamedTuple):
 
 @dataclass(eq=False)
 class Field:
-    """Amplitudes (K, N) at one moment, the decays (K,) and (N,) of their modes, 1/s, and the means (N,) of the depth's modes over
-    the layer that is heated."""
+    """Heat at one moment."""
 
-    state: Floats
-    plane_rate: Floats
+    state: Floats  # (K, N) amplitudes
+    plane_rate: Floats  # as in :class:`Modes`
     depth_rate: Floats
     in_layer: Floats
 
@@ -89,11 +86,9 @@ class Field:
 def falling(exponent: float) -> float:
     """Return e to an exponent of at most 0, to 1e-14 of 1.
 
-    The library's function takes one value at a time and 8 ns. The series of a 64th of the exponent, squared six times, is
-    the same to rounding, has no branch, and takes 1 ns in a loop over a column.
+    The library's function takes one value at a time and 8 ns. The series of a 64th of the exponent, squared six times, is the same
+    to rounding, has no branch, and takes 1 ns in a loop over a column.
 
-    Examples
-    --------
     >>> round(falling(-1.0), 12)
     0.367879441171
     """
@@ -128,7 +123,7 @@ def heated(
     source: Floats,
     time: Floats,
 ) -> None:
-    """Let the times (P,) go by, each with its source (P,), K/s, on the places of `shapes` (K, .) from the first on."""
+    """Let times (P,) go by, each with its source (P,), K/s, on the places of `shapes` (K, .) from the first on."""
     across, through = np.empty(len(plane_rate)), np.empty(len(depth_rate))
     for p in range(len(time)):
         duration, power = time[p], source[p]
@@ -137,11 +132,8 @@ def heated(
         for k in range(len(plane_rate)):
             across[k] = falling(-plane_rate[k] * duration)
         for k in range(len(plane_rate)):
-            plane, left, strength = (
-                plane_rate[k],
-                across[k],
-                0.0 if power == 0.0 else power * shapes[k, first + p],
-            )
+            plane, left = plane_rate[k], across[k]
+            strength = 0.0 if power == 0.0 else power * shapes[k, first + p]
             if strength == 0.0:
                 for n in range(len(depth_rate)):
                     state[k, n] *= left * through[n]
@@ -181,11 +173,8 @@ def late_heat(
 def surfaces_at_entries(
     late: Modes, timetable: Timetable, age: float, start: Floats, in_layer: Floats
 ) -> Floats:
-    """Amplitudes (I, K) of the section's modes in the layer when each island is entered, by island.
-
-    They are those of what the layer begins with, `start` (K, N), and of heat of at least an age, which comes to the `late`
-    modes late by it, and as small as it has become by then.
-    """
+    """Amplitudes (I, K) of the section's modes in the layer when each island is entered, by the heat with which the layer begins,
+    `start` (K, N), and by heat of at least an age, which comes to the `late` modes late by it, and as small as it has become."""
     state, surface = start.copy(), np.zeros((len(timetable.start_s), len(start)))
     clock, place = 0.0, 0
     for island in timetable.order:

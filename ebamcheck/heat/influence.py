@@ -15,73 +15,50 @@ from numpy.typing import NDArray
 from ebamcheck.heat.field import falling
 from ebamcheck.heat.island_heat import IslandHeat
 from ebamcheck.heat.near_field import FAR, OPTIONS, NearField, at_root, young_mean
-from ebamcheck.kernels import Bools, Floats, kernel
+from ebamcheck.kernels import Bools, Floats, ShortInts, kernel
 from ebamcheck.threads import run_blocks
 
+# Times of the table; :data:`YOUNG_NODES` of them until the horizon of young heat. Node m after the
+# horizon lies at m^2.
 NODES = 96
-"""Times of the table; :data:`~ebamcheck.heat.influence.YOUNG_NODES` of them until the horizon of young heat. Node m after
-the horizon lies at m^2."""
-
-LEAST_RATE = 1e-9
-"""Decay, 1/s, that an amplitude has at least: nothing within any layer, but there is an inverse of it."""
-
-FALLEN = 25.0
-"""Decays in which a mode falls to nothing beside the rounding of the table: 1e-11."""
-
-FEWER = 4.0
-"""Times of the table go together until so many times fewer modes are left."""
-
-MOST_ISLANDS = 500
-"""Beyond, the table is too large: 500 islands take 96 MB."""
-
-SOURCES = 16
-"""Islands whose part of the table a thread is worth."""
-
-AT_ONCE = 8
-"""Sources whose rises come from one product of matrices: one by one they take a third longer."""
+LEAST_RATE = 1e-9  # decay, 1/s, that an amplitude has at least: nothing within any layer, but there is an inverse of it
+FALLEN = 25.0  # decays in which a mode falls to nothing beside the rounding of the table: 1e-11
+FEWER = 4.0  # times of the table go together until so many times fewer modes are left
+MOST_ISLANDS = 500  # beyond, the table is too large: 500 islands take 96 MB
+SOURCES = 16  # islands whose part of the table a thread is worth
+AT_ONCE = 8  # sources whose rises come from one product of matrices: one by one they take a third longer
 
 
 class Sources(NamedTuple):
-    """Islands that heat K modes of the section times N of the depth.
+    """Islands that heat K modes of the section times N of the depth."""
 
-    `scale`: (K, I) by which each heats the section's modes, K/s; `weight`: (K, N) what heating by 1 K/s comes to in the
-    end, in the layer; `across`, `through`: (K, I), (N, I) what is left of the modes after the time in which each island is
-    scanned; `time_s`: (I,) that time.
-    """
-
-    scale: Floats
-    weight: Floats
-    across: Floats
-    through: Floats
-    time_s: Floats
+    scale: Floats  # (K, I) by which each heats the section's modes, K/s
+    weight: Floats  # (K, N) to which heating by 1 K/s comes in the end, in the layer
+    across: Floats  # (K, I) left of the section's modes after the time in which each island is scanned
+    through: Floats  # (N, I) the same of the depth's
+    time_s: Floats  # (I,) that time
 
 
 class Times(NamedTuple):
-    """Times of the table side by side, all of them under the horizon or none.
+    """Times of the table side by side, all of them under the horizon or none."""
 
-    `start`, `stop`: first of them in the table, and the one after the last; `over_s`: (Q,) by how much they are over the
-    horizon; `across`, `through`: (M, Q), (N, Q) what is left then of the modes of the section that are not nothing by then,
-    and of the depth's.
-    """
-
-    start: int
-    stop: int
-    over_s: Floats
-    across: Floats
-    through: Floats
+    start: int  # first of them in the table
+    stop: int  # the one after the last
+    over_s: Floats  # (Q,) by how much they are over the horizon
+    across: Floats  # (M, Q) left then of those modes of the section that have not died out
+    through: Floats  # (N, Q) the same of the depth's
 
 
 class Influence(NamedTuple):
-    """Temperature rises by islands and times.
+    """Temperature rises by islands and times."""
 
-    `rise_k`: (I, I + 1, Q) mean rise of an island by another one that was scanned from cold, a time after its end; the last
-    column is what the layer's first temperature leaves, a time after the beginning; `nodes_per_root_s`: a time t after the
-    horizon lies nodes_per_root_s sqrt(t) nodes after the node of the horizon; `fresh`: what entries have beyond the means.
-    """
-
+    # (I, I + 1, Q) mean rise of an island by another one that was scanned from cold, a time after its end; the last column is what the
+    # layer's first temperature leaves, a time after the beginning
     rise_k: Table
-    nodes_per_root_s: float
-    fresh: FreshTable
+    nodes_per_root_s: (
+        float  # a time t after the horizon lies so many sqrt(t) nodes after the node of the horizon
+    )
+    fresh: FreshTable  # what entries have beyond the means
 
 
 def influence(heat: IslandHeat, time_s: Floats, longest_s: float) -> Influence:
@@ -105,11 +82,10 @@ def influence(heat: IslandHeat, time_s: Floats, longest_s: float) -> Influence:
         SOURCES // AT_ONCE,
     )
     rise[:, count] = first_heat(heat, since)
-    of_fresh = near, heat.modes.source_k_s, time_s, since[:YOUNG_NODES]
-    add_young_heat(*of_fresh, rise)
-    fresh = fresh_table(*of_fresh)
+    fresh = near, heat.modes.source_k_s, time_s, since[:YOUNG_NODES]
+    add_young_heat(*fresh, rise)
     per_root = spacing**-0.5 if spacing > 0.0 else 0.0
-    return Influence(rise, per_root, fresh)
+    return Influence(rise, per_root, fresh_table(*fresh))
 
 
 def first_heat(heat: IslandHeat, since_s: Floats) -> Floats:
@@ -162,12 +138,8 @@ def left_by_sources(heating: Sources, times: Times, at_horizon: Floats, begin: i
     """
     # Taken out of their tuples once: each column that is taken out is counted as one more in use.
     over, across, through, time = times.over_s, times.across, times.through, heating.time_s
-    scale, weight, scanned_across, scanned_through = (
-        heating.scale,
-        heating.weight,
-        heating.across,
-        heating.through,
-    )
+    scale, weight = heating.scale, heating.weight
+    scanned_across, scanned_through = heating.across, heating.through
     modes, count = across.shape
     young, held = over[0] < 0.0, np.empty(count)
     result = np.empty((modes, end - begin, count), np.float32)
@@ -200,24 +172,20 @@ def _spans(plane_rate: Floats, since_s: Floats, horizon_s: float, start: int) ->
 
 
 def add_young_heat(near: NearField, source: Floats, time_s: Floats, since_s: Floats, rise: Table) -> None:
-    """Add the young heat of islands to the rises of the means at the first times; after the horizon it is nothing."""
-    of = np.repeat(np.arange(len(time_s)), np.diff(near.first))
-    apart = np.flatnonzero(of != near.other)
-    j, i, exact = of[apart], near.other[apart], near.exact[near.pair[apart]]
-    for n, since in enumerate(since_s):
-        late, early = (
-            at_roots(exact, np.sqrt(np.clip(age / near.horizon_s, 0.0, 1.0)))
-            for age in (since + time_s[j], np.full(len(j), since))
-        )
-        rise[i, j, n] += source[j] * (late - early)
+    """Add the young heat of islands to the rises of the means at the first times (N,); after the horizon it is nothing."""
+    source_of = np.repeat(np.arange(len(time_s)), np.diff(near.first))
+    apart = np.flatnonzero(source_of != near.other)
+    j, i, exact = source_of[apart], near.other[apart], near.exact[near.pair[apart]]
 
+    def up_to(age_s: Floats) -> Floats:
+        """Rises (P, N) by heat of up to ages (P, N), over K mm^3/s: as :func:`~ebamcheck.heat.near_field.at_root`."""
+        place = np.sqrt(np.clip(age_s / near.horizon_s, 0.0, 1.0)) * (exact.shape[1] - 1)
+        node = np.minimum(place.astype(np.int64), exact.shape[1] - 2)
+        low, high = (np.take_along_axis(exact, at, axis=1) for at in (node, node + 1))
+        return np.asarray(low + (high - low) * (place - node), np.float64)
 
-def at_roots(tables: Floats, root: Floats) -> Floats:
-    """Values of tables (n, Q + 1), each at a root (n,): as :func:`~ebamcheck.heat.near_field.at_root`."""
-    place = root * (tables.shape[1] - 1)
-    node = np.minimum(place.astype(np.int64), tables.shape[1] - 2)
-    low, high = (np.take_along_axis(tables, at[:, None], axis=1)[:, 0] for at in (node, node + 1))
-    return np.asarray(low + (high - low) * (place - node), np.float64)
+    young = up_to(np.add.outer(time_s[j], since_s)) - up_to(np.broadcast_to(since_s, (len(j), len(since_s))))
+    rise[i, j, : len(since_s)] += source[j, None] * young
 
 
 @kernel
@@ -231,37 +199,25 @@ def table_place(since: float, nodes: float, horizon: float, columns: int) -> tup
     return node, min(place - node, 1.0)
 
 
-# -- What young heat does to entries beyond the means of islands, over the time since: worked out where it
-# is asked for.
-#
-# Of all the ways in which one island of a large layer may follow another near it, a search tries one in a
-# hundred.
+# -- What young heat does to entries beyond the means of islands: worked out where it is asked for. Of all the ways in which one island
+# of a large layer may follow another near it, a search tries one in a hundred.
 
-
+# Times until the horizon of young heat. Their spacing grows with the time, as heat changes ever more slowly: node n of N lies at
+# horizon (n / (N - 1))^2.
 YOUNG_NODES = 12
-"""Times until the horizon of young heat. Their spacing grows with the time, as heat changes ever more slowly: node n of N
-lies at horizon (n / (N - 1))^2."""
-
 Table = NDArray[np.float32]
 
 
 class FreshTable(NamedTuple):
-    """What young heat does to entries beyond the rises of islands that are near each other.
-
-    `near`, `source_k_s`, `time_s`, `since_s`: what it is worked out from: the near field, sources (I,) as in
-    :class:`~ebamcheck.heat.field.Modes`, the time in which each island is scanned (I,), and the times of the table (N,);
-    after the last, the horizon, it is nothing; `slot`: (I, I) row of the next tables for an island and the source, or -1;
-    `known`: (P, 4) whether it is worked out, by the entry option of the source; `excess_k`: (P, 4, 4, N) of the temperature
-    of its entry over its mean, by its entry option and that of the source.
-    """
+    """What young heat does to entries beyond the rises of islands that are near each other, and what that is worked out from."""
 
     near: NearField
-    source_k_s: Floats
-    time_s: Floats
-    since_s: Floats
-    slot: NDArray[np.int32]
-    known: Bools
-    excess_k: Table
+    source_k_s: Floats  # (I,) as in :class:`~ebamcheck.heat.field.Modes`
+    time_s: Floats  # (I,) time in which each island is scanned
+    since_s: Floats  # (N,) times of the table; after the last, the horizon, it is nothing
+    slot: ShortInts  # (I, I) row of the next tables for an island and the source, or -1
+    known: Bools  # (P, 4) whether it is worked out, by the entry option of the source
+    excess_k: Table  # (P, 4, 4, N) temperature of the entry over the island's mean, by its entry option and that of the source
 
 
 def fresh_table(near: NearField, source_k_s: Floats, time_s: Floats, since_s: Floats) -> FreshTable:
@@ -279,9 +235,9 @@ def work_out(table: FreshTable, row: int, island: int, source: int, left_by: int
     near, since, time = table.near, table.since_s, table.time_s[source]
     depth, horizon, inside, entry = near.depth, near.horizon_s, near.inside[island], near.entry[island]
     pieces, passed, entry_k = near.pieces, near.pieces.passed[left_by], np.zeros((OPTIONS, len(since)))
-    root, strength, inverse, limit, held = (
-        np.empty(len(since)), np.empty(len(since)), np.empty(len(since)), np.empty(len(since)), np.empty(len(since)),
-    )  # fmt: skip
+    count = len(since)
+    root, strength, inverse = np.empty(count), np.empty(count), np.empty(count)
+    limit, held = np.empty(count), np.empty(count)
     for m in range(pieces.first[source], pieces.first[source + 1]):
         used = 0
         for n in range(len(since)):

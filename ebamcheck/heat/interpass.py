@@ -13,30 +13,28 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
+from functools import cache
 
 import numpy as np
 
 from ebamcheck.heat.balance import LayerShape
+from ebamcheck.heat.field import Field
 from ebamcheck.heat.medium import entry_limit_k, least_power_share, scheduled_share
-from ebamcheck.heat.part_heat import AgedColumns, Beads, Before, PartHeat
+from ebamcheck.heat.part_heat import AgedColumns, Beads, PartHeat
 from ebamcheck.kernels import Floats
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import least_window_share
 
+# Share of the limit's rise over ambient by which a plan stays under it: waits are whole seconds, and the program rounds
 MARGIN = 0.01
-"""Share of the limit's rise over ambient by which a plan stays under it: waits are whole seconds, and the program rounds."""
-
+# What does not cool down to the limit in this time is not waited for; the heat gate says so
 LONGEST_WAIT_S = 4.0 * 3600.0
-"""What does not cool down to the limit in this time is not waited for; the heat gate says so."""
-
-PERCENT = 100
-"""Steps of the power's share."""
+PERCENT = 100  # steps of the power's share
 
 
 @dataclass(frozen=True, eq=False)
 class SimulatedLayer:
-    """One layer as it is simulated, with a share of the beam's power. Temperatures are absolute, but for the rise `body_k`."""
+    """One layer as it is simulated, with a share of the beam's power. Temperatures are absolute, but for the rise `body_mean_k`."""
 
     power_share: float
     wait_s: float  # before the layer
@@ -44,7 +42,7 @@ class SimulatedLayer:
     bead_wait_s: Floats  # (B,) before each bead but the first; further beads of one island share the longest that one of them asks for
     bed_k: Floats  # (B,) what each bead finds at its place when it is entered
     mean_k: Floats  # (B,) mean over the section then
-    body_k: float  # mean rise of the part under the layer when it is begun
+    body_mean_k: float  # mean rise of the part under the layer when it is begun
     enter_k: float  # mean of the surface when the layer is begun
     leave_k: float  # the same when it is done
     time_s: float  # moves and waits within the layer included
@@ -53,23 +51,19 @@ class SimulatedLayer:
 
 @dataclass(frozen=True, eq=False)
 class LayerJob:
-    """What a layer needs to be simulated: its beads, its shape, and where it lies.
+    """What a layer needs to be simulated."""
 
-    `beads`: in the sequence in which they are laid; `shape`: of the layer that is laid; `height_mm`: its height over the
-    base plate; `lowest`: whether nothing lies under it, so that there is nothing to wait for.
-    """
-
-    beads: Beads
+    beads: Beads  # in the sequence in which they are laid
     shape: LayerShape
-    height_mm: float
-    lowest: bool
+    height_mm: float  # over the base plate
+    lowest: bool  # nothing lies under it, so that there is nothing to wait for
 
 
 def cooled_layer(job: LayerJob, found: PartHeat, config: Config, guess: float = 0.0) -> SimulatedLayer:
     """Choose power and waits of a layer by the settings, and simulate it.
 
-    `found`: the part's heat when the layer under it is done, in the modes of this layer; `guess`: share of the power of the
-    layer below: that of this one is found sooner where it is near.
+    `found`: the part's heat when the layer under it is done, in the modes of this layer; `guess`: share of the power of the layer
+    below: that of this one is found sooner where it is near.
     """
     kept: dict[float, SimulatedLayer] = {}
     share = power_share(job, found, config, guess, kept)
@@ -87,11 +81,7 @@ def cooled_layer(job: LayerJob, found: PartHeat, config: Config, guess: float = 
 
 
 def power_share(
-    job: LayerJob,
-    found: PartHeat,
-    config: Config,
-    guess: float = 0.0,
-    kept: dict[float, SimulatedLayer] | None = None,
+    job: LayerJob, found: PartHeat, config: Config, guess: float, kept: dict[float, SimulatedLayer]
 ) -> float:
     """Share of the power of a layer: that of the table, or the greatest at which no bead is entered above the limit.
 
@@ -109,7 +99,7 @@ def power_share(
 
     def fits(percent: int) -> bool:
         done = simulate(job, found, config, percent / PERCENT, waits=False, keep=True)
-        if done is not None and kept is not None:
+        if done is not None:
             kept[percent / PERCENT] = done
         return done is not None
 
@@ -125,8 +115,6 @@ def greatest_that_fits(fits: Callable[[int], bool], low: int, high: int, guess: 
 
     From the guess the search goes up or down in steps that double, and then halves what is left. `high` does not fit.
 
-    Examples
-    --------
     >>> greatest_that_fits(lambda n: n <= 70, 40, 100, 68)
     70
     """
@@ -162,18 +150,16 @@ def simulate(
 ) -> SimulatedLayer | None:
     """Simulate a layer at a share of the power.
 
-    `waits`: wait wherever a bead would be entered above the limit; `ring_wait_s`: wait before each further contour at
-    least: they share one, the longest that one of them asks for; `keep`: give up, with None, as soon as a bead is entered
-    above the limit.
+    `waits`: wait wherever a bead would be entered above the limit; `ring_wait_s`: wait before each further contour at least: they
+    share one, the longest that one of them asks for; `keep`: give up, with None, as soon as a bead is entered above the limit.
     """
     run = _Run(job, config, share, found.copy(), waits, keep)
     beads, bead = job.beads, 0
     while bead < len(beads):
         if beads.inner[bead]:
-            last = bead + 1
-            while last < len(beads) and beads.inner[last]:
-                last += 1
-            done = _island_done(run, bead, last)
+            others = np.flatnonzero(~beads.inner[bead:])
+            last = bead + int(others[0]) if len(others) else len(beads)
+            done = run.lay_island(bead, last)
             bead = last
         else:
             done = run.lay(bead, ring_wait_s if 0 < bead < beads.rings else 0.0)
@@ -185,28 +171,13 @@ def simulate(
     return run.result(ring_wait_s)
 
 
-def _island_done(run: _Run, first: int, last: int) -> bool:
-    """Lay the further beads of an island, each after the same wait; False where one is too hot and none is waited for."""
-    begun, least_s = run.part, 0.0
-    while True:
-        run.part = begun.copy()
-        for bead in range(first, last):
-            if not run.lay(bead, least_s):
-                return False
-        longest_s = float(run.wait_s[first:last].max())
-        if (run.wait_s[first:last] == longest_s).all():
-            return True
-        least_s = longest_s
-
-
 class _Run:
-    """A layer while it is simulated: the part's heat, and what was found, bead by bead."""
+    """A layer while it is simulated: the part's heat, and waits and temperatures, bead by bead."""
 
     def __init__(
         self, job: LayerJob, config: Config, share: float, part: PartHeat, waits: bool, keep: bool
     ) -> None:
-        process = config.process
-        limit_k = entry_limit_k(config)
+        process, limit_k = config.process, entry_limit_k(config)
         self.part = part
         self.wait_s, self.bed_k, self.mean_k, self.away_s = (np.zeros(len(job.beads)) for _ in range(4))
         self._job, self._share, self._waits, self._keep = job, share, waits, keep
@@ -216,73 +187,78 @@ class _Run:
         self._pause_s = 0.0 if job.lowest else process.layer_pause_s
         self._every = process.interpass_at == "bead"
         self._body_k = self._enter_k = 0.0
-        self._before: Before | None = None
-        self._begun = 0
+        self._before: Field | None = (
+            None  # what differs across the section when the island of further beads is begun
+        )
+        self._begun = 0  # its first bead
+
+    def lay_island(self, first: int, last: int) -> bool:
+        """Lay the further beads of an island, each after the same wait; False where one is too hot and none is waited for."""
+        begun, least_s = self.part, 0.0
+        while True:
+            self.part = begun.copy()
+            if not all(self.lay(bead, least_s) for bead in range(first, last)):
+                return False
+            longest_s = float(self.wait_s[first:last].max())
+            if (self.wait_s[first:last] == longest_s).all():
+                return True
+            least_s = longest_s
 
     def lay(self, bead: int, least_s: float) -> bool:
         """Wait, not less than `least_s`, and lay a bead; False where it is too hot and that ends the simulation."""
         beads, first = self._job.beads, bead == 0
         checked = first or self._every
-        away_s, rise_s = (
-            float(beads.move_s[bead]) + (self._pause_s if first else 0.0),
-            float(beads.rise_s[bead]),
-        )
-        before, shape, aged = self._own_apart(bead), beads.shape(bead), AgedColumns(self.part.column)
+        move_s = float(beads.move_s[bead]) + (self._pause_s if first else 0.0)
+        rise_s, shape = float(beads.rise_s[bead]), beads.shapes[bead]
+        part, before, aged = self.part, self._own_apart(bead), AgedColumns(self.part.column)
+
+        def away_s(wait_s: float) -> float:
+            """Time with the beam off before the bead; where it waits, the beam rises."""
+            return move_s + (wait_s + rise_s if wait_s > 0.0 else 0.0)
+
+        @cache
+        def bed_k(wait_s: float) -> float:
+            # All at once, as the balance of the text has it: the same steps of time give the same figures.
+            return part.bed_k(shape, away_s(wait_s), before, aged)
+
         wait_s = 0.0
         if checked and self._waits and not (first and self._job.lowest):
-            found_k = partial(_found_k, self.part, shape, away_s, rise_s, before, aged)
-            wait_s = shortest_wait_s(found_k, self._limit_k)
+            wait_s = shortest_wait_s(bed_k, self._limit_k)
         wait_s = max(wait_s, least_s)
-        away_s += wait_s + rise_s if wait_s > 0.0 else 0.0
-        # All at once, as the balance of the text has it: the same steps of time give the same figures.
-        self.bed_k[bead] = self.part.bed_k(shape, away_s, before, aged)
+        self.bed_k[bead] = bed_k(wait_s)
         if not beads.inner[bead]:
             self._before, self._begun = None, bead
-        self.part.rest(away_s, aged)
-        self.mean_k[bead] = self.part.column.bed_k
+        part.rest(away_s(wait_s), aged)
+        self.mean_k[bead] = part.column.bed_k
         if self._keep and checked and self.bed_k[bead] > self._limit_k:
             return False
         if not beads.inner[bead] and beads.inner[bead + 1 : bead + 2].any():
-            self._before = Before(self.part.field.copy())
+            self._before = part.field.copy()
         if first:
-            self._body_k, self._enter_k = self.part.column.mean_rise_k, self.mean_k[0]
-            self.part.column.lay(self._job.shape)
-        self.wait_s[bead], self.away_s[bead] = wait_s, away_s
-        self.part.lay_bead(self._beads, bead, self._power_w)
+            self._body_k, self._enter_k = part.column.mean_rise_k, self.mean_k[0]
+            part.column.lay(self._job.shape)
+        self.wait_s[bead], self.away_s[bead] = wait_s, away_s(wait_s)
+        part.lay_bead(self._beads, bead, self._power_w)
         return True
 
-    def _own_apart(self, bead: int) -> Before | None:
-        """What differed across the section before the island of a further bead was begun, aged until the bead before it is done."""
+    def _own_apart(self, bead: int) -> tuple[Field, float] | None:
+        """Field before the island of a further bead was begun, and the time from then until the bead before it is done, s."""
         if self._before is None or not self._job.beads.inner[bead]:
             return None
         first, time_s = self._job.beads.first, self._job.beads.time_s
         laid_s = float(time_s[first[self._begun] : first[bead]].sum())
-        return Before(self._before.field, laid_s + float(self.away_s[self._begun + 1 : bead].sum()))
+        return self._before, laid_s + float(self.away_s[self._begun + 1 : bead].sum())
 
     def result(self, ring_wait_s: float) -> SimulatedLayer:
-        """What was found in the whole layer."""
+        """Summary of the whole layer."""
         bead_wait_s = self.wait_s.copy()
         bead_wait_s[:1] = 0.0
         before_s = self._pause_s + float(self.wait_s[:1].sum())
         time_s = float(self.away_s.sum()) - before_s + float(self._job.beads.time_s.sum())
-        part = self.part
         return SimulatedLayer(
             self._share, before_s, ring_wait_s, bead_wait_s, self.bed_k, self.mean_k, self._body_k, self._enter_k,
-            part.column.surface_k, time_s, part,
+            self.part.column.surface_k, time_s, self.part,
         )  # fmt: skip
-
-
-def _found_k(
-    part: PartHeat,
-    shape: Floats,
-    away_s: float,
-    rise_s: float,
-    before: Before | None,
-    aged: AgedColumns,
-    wait_s: float,
-) -> float:
-    """What a bead finds after the way to it and a wait, for which the beam rises."""
-    return part.bed_k(shape, away_s + (wait_s + rise_s if wait_s > 0.0 else 0.0), before, aged)
 
 
 def shortest_wait_s(bed_k: Callable[[float], float], limit_k: float) -> float:

@@ -15,44 +15,23 @@ from ebamcheck.heat.near_field import OPTIONS, NearField, entry_rise, near_field
 from ebamcheck.kernels import Floats, Ints, kernel
 from ebamcheck.settings.config import Config
 
-SIMULATION_WAVE = 2.0 / 3.0
-"""Shortest wave of a simulation, in widths of an island."""
-
-PLANNING_WAVE = 1.0
-"""Shortest wave of a plan, in widths of an island: shorter ones die out while the next island is scanned."""
-
-PLANNING_CELLS, SIMULATION_CELLS = 2.0, 3.0
-"""Cells in the shortest wave: as few as can carry it in a plan, which is compared with others and not read. Plans
-made on finer cells were no cooler in a finer simulation."""
-
-PLANNING_MODES = 400
-"""Modes of the section that a plan uses at most: beyond, only the longest waves count."""
-
-PLANNING_WORK = 4e9
-"""Modes times the square of the islands in a plan at most: over 3000 islands it knows fewer modes."""
-
-SIMULATION_MODES = 800
-"""Modes of the section that a simulation uses at most."""
-
-MOST_DEPTH_MODES = 40
-"""Modes of the depth at most."""
+PLANNING_MODES = 400  # modes of the section that a plan uses at most: beyond, only the longest waves count
+PLANNING_WORK = (
+    4e9  # modes times the square of the islands in a plan at most: over 3000 islands it knows fewer modes
+)
 
 
 @dataclass(frozen=True, eq=False)
 class IslandHeat:
-    """Islands as sources and readings of the heat model.
-
-    `modes`: what every kernel reads first: means over the islands, rates, sources; `start_k`: (K, N) amplitudes when the
-    layer begins; `model`: the heat model whose modes these are; `complete`: eigenvalue up to which these are all modes of
-    section and depth, 1/mm^2; `near`: young heat between islands that are near each other, which the modes lack; None: by
-    the modes alone.
-    """
+    """Islands as sources and readings of the heat model."""
 
     modes: Modes
-    start_k: Floats
-    model: HeatModel
-    complete: float
-    near: NearField | None = None
+    start_k: Floats  # (K, N) amplitudes when the layer begins
+    model: HeatModel  # whose modes these are
+    complete: float  # eigenvalue up to which these are all modes of section and depth, 1/mm^2
+    near: NearField | None = (
+        None  # young heat between islands near each other, which the modes lack; None: by the modes alone
+    )
 
     @property
     def fresh(self) -> NearField:
@@ -72,20 +51,21 @@ def island_heat(
 ) -> IslandHeat:
     """Set up the heat model of a layer.
 
-    `section`: solid region of the layer; `islands`: (I,) polygons; `beam_s`, `time_s`: (I,) time with the beam on, and in
-    all, while each island is scanned; `height_mm`: height of the layer over the base plate; `fine`: resolve waves shorter
-    than an island, for a simulation; a plan needs none under its width.
+    `section`: solid region of the layer; `islands`: (I,) polygons; `beam_s`, `time_s`: (I,) time with the beam on, and in all, while
+    each island is scanned; `height_mm`: height of the layer over the base plate; `fine`: resolve waves shorter than an island, for a
+    simulation, and not only those that last while the next island is scanned, for a plan.
     """
     medium, process = Medium.of(config), config.process
     width_mm = math.sqrt(section.area / max(len(islands), 1))
-    largest = (2.0 * math.pi / (width_mm * (SIMULATION_WAVE if fine else PLANNING_WAVE))) ** 2
     planned = max(1, min(PLANNING_MODES, int(PLANNING_WORK / max(len(islands), 1) ** 2)))
-    most, cells = (SIMULATION_MODES, SIMULATION_CELLS) if fine else (planned, PLANNING_CELLS)
+    # Shortest wave in widths of an island, modes of the section at most, and cells in the shortest wave: in a plan as few as can carry
+    # it, since plans made on finer cells were no cooler in a finer simulation.
+    wave, most, cells = (2.0 / 3.0, 800, 3.0) if fine else (1.0, planned, 2.0)
+    largest = (2.0 * math.pi / (width_mm * wave)) ** 2
     plane = contour_modes(section, largest, most, cells)
     depth_mm = max(height_mm, 0.0) + process.base_plate_mm
-    waves = min(MOST_DEPTH_MODES, math.ceil(depth_mm * math.sqrt(largest) / math.pi) + 1)
-    loss = medium.radiation_w_mm2k / medium.conductivity_w_mmk
-    depth = depth_modes(depth_mm, waves, process.base == "cooled", loss)
+    waves = min(40, math.ceil(depth_mm * math.sqrt(largest) / math.pi) + 1)
+    depth = depth_modes(depth_mm, waves, process.base == "cooled", medium.loss_per_mm)
     model = HeatModel(plane, depth, medium, min(config.layer_height_mm, depth_mm))
     on = np.divide(beam_s, time_s, out=np.zeros_like(beam_s), where=time_s > 0)
     power_w = process.power_w * config.material.absorptivity * on
@@ -122,10 +102,8 @@ def with_fresh_heat(
 def old_at_entries(
     heat: IslandHeat, order: Ints, start_s: Floats, end_s: Floats, at: Floats | None = None
 ) -> Floats:
-    """Rise of each island when it is entered by heat older than the horizon, of which the modes have all, K.
-
-    (I,) means of the islands; with modes (I, E, K) at places of each, (I, E) at these.
-    """
+    """Rise of each island when it is entered by heat older than the horizon, of which the modes have all, K: means of the islands
+    (I,); with modes (I, E, K) at places of each, at these (I, E)."""
     horizon_s, modes = heat.fresh.horizon_s, heat.modes
     timetable = Timetable(order, start_s, end_s)
     surface = surfaces_at_entries(modes.late(horizon_s), timetable, horizon_s, heat.start_k, modes.in_layer)

@@ -14,29 +14,28 @@ from ebamcheck.settings.config import Config
 from ebamcheck.settings.materials import MaterialSettings
 from ebamcheck.settings.process_window import MOST_SPACINGS, along_window, wire_speed_mm_s
 
+# Standard deviation of the beam's heat over the width of the bead: 95 % of it falls on the bead
 BEAM_SHARE = 0.25
-"""Standard deviation of the beam's heat over the width of the bead: 95 % of it falls on the bead."""
-
-STEFAN_BOLTZMANN_W_M2K4 = 5.670374419e-8
-"""Radiation of a black body over T^4 (CODATA 2018)."""
+STEFAN_BOLTZMANN_W_M2K4 = 5.670374419e-8  # radiation of a black body over T^4 (CODATA 2018)
 
 
 @dataclass(frozen=True)
 class Medium:
-    """A material with constant data.
+    """A material with constant data."""
 
-    `conductivity_w_mmk`: thermal conductivity k; `heat_capacity_j_mm3k`: heat capacity per volume, rho c;
-    `radiation_w_mm2k`: heat flux that the surface radiates, over its temperature rise; 0: none.
-    """
-
-    conductivity_w_mmk: float
-    heat_capacity_j_mm3k: float
-    radiation_w_mm2k: float = 0.0
+    conductivity_w_mmk: float  # k
+    heat_capacity_j_mm3k: float  # heat capacity per volume, rho c
+    radiation_w_mm2k: float = 0.0  # heat flux that the surface radiates, over its temperature rise
 
     @property
     def diffusivity_mm2_s(self) -> float:
         """Diffusivity alpha = k / (rho c)."""
         return self.conductivity_w_mmk / self.heat_capacity_j_mm3k
+
+    @property
+    def loss_per_mm(self) -> float:
+        """Heat transfer coefficient of the surface over the conductivity."""
+        return self.radiation_w_mm2k / self.conductivity_w_mmk
 
     @classmethod
     def of(cls, config: Config) -> Medium:
@@ -52,27 +51,18 @@ class Medium:
         )
 
 
-HOTTEST_K = 6000.0
-"""End of the tables, beyond any melt: evaporation is not part of them, so a melt may exceed the boiling point."""
-
-STEP_K = 1.0
-"""Step of temperature for the integrals of the data."""
-
-NODES = 8192
-"""Nodes of the tables over the heat content: about 1 K apart."""
+HOTTEST_K = 6000.0  # end of the tables, beyond any melt: evaporation is not part of them, so a melt may exceed the boiling point
+STEP_K = 1.0  # step of temperature for the integrals of the data
+NODES = 8192  # nodes of the tables over the heat content: about 1 K apart
 
 
 @dataclass(frozen=True, eq=False)
 class EnthalpyTables:
-    """Tables at equal steps of the heat content h, from 0 at the ambient temperature.
+    """Tables at equal steps of the heat content h, from 0 at the ambient temperature."""
 
-    `step_j_mm3`: step of the heat content, J/mm^3; `temperature_k`: (Q,) absolute temperature, K; `theta_w_mm`: (Q,)
-    integral of the conductivity from the ambient temperature, W/mm.
-    """
-
-    step_j_mm3: float
-    temperature_k: Floats
-    theta_w_mm: Floats
+    step_j_mm3: float  # step of the heat content
+    temperature_k: Floats  # (Q,) absolute temperature
+    theta_w_mm: Floats  # (Q,) integral of the conductivity from the ambient temperature
 
     @property
     def greatest_diffusivity_mm2_s(self) -> float:
@@ -127,8 +117,7 @@ def _tables(material: MaterialSettings, ambient_k: float) -> EnthalpyTables:
     )
 
 
-WIDER = 1.0005
-"""Width over the spacing from which on a bead is a wider one: widths and wire speeds are rounded in a program."""
+WIDER = 1.0005  # width over the spacing from which on a bead is a wider one: widths and wire speeds are rounded in a program
 
 
 def melting_heat_j_kg(config: Config) -> float:
@@ -141,9 +130,9 @@ def melting_heat_j_kg(config: Config) -> float:
 def least_power_share(config: Config, thickness_mm: float | None = None) -> float:
     """Share of the beam's power that is needed to melt a layer of a thickness; over 1: the beam is too weak.
 
-    The melt pool consists of the wire, whose amount follows from travel speed, bead spacing and layer height, and
-    the metal that is remelted with it; both are heated from the chamber's temperature, which is on the safe side. If
-    full power is too little for both, all of it is needed and less is remelted, as long as it melts the wire.
+    The melt pool consists of the wire, whose amount follows from travel speed, bead spacing and layer height, and the metal that is
+    remelted with it; both are heated from the chamber's temperature, which is on the safe side. If full power is too little for both,
+    all of it is needed and less is remelted, as long as it melts the wire.
     """
     process = config.process
     height_mm = config.layer_height_mm if thickness_mm is None else thickness_mm
@@ -160,17 +149,12 @@ def melted_mm3_s(config: Config) -> float:
 
 
 def own_power_shares(config: Config, width_mm: Floats, thickness_mm: float) -> Floats:
-    """Share of the beam's power that each bead needs for itself, since it lays more metal than its neighbours.
+    """Share of the beam's power (n,) that each bead needs for itself, since it lays more metal than its neighbours; 0 where it lays
+    one spacing or less.
 
     A layer has the power that its beads need at one spacing. A wider one gets as much more as its metal is more, up to the full
-    power; and as much as `process.metal_energy_j_mm3` asks for.
+    power; and as much as `process.metal_energy_j_mm3` asks for. The widths (n,) are metal in section over the layer's thickness.
 
-    `width_mm`: (n,) metal of each bead, in section over the height of its layer; `thickness_mm`: that height.
-
-    Returns (n,) 0 where a bead lays one spacing or less.
-
-    Examples
-    --------
     >>> own_power_shares(Config(), np.array([4.0, 4.5, 6.8]), 1.6755).round(3)
     array([0.   , 0.398, 0.601])
     """

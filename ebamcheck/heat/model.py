@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,38 +13,20 @@ from ebamcheck.heat.modes import ContourModes
 from ebamcheck.kernels import Floats
 
 
-class PlaneModes(Protocol):
-    """Modes of a section."""
-
-    @property
-    def eigenvalue(self) -> Floats:
-        """Eigenvalues (K,), 1/mm^2."""
-        ...
-
-    def at(self, points: ArrayLike) -> Floats:
-        """Modes at points, (P, K)."""
-        ...
-
-    def integral(self) -> Floats:
-        """Integral of the modes over the section, (K,)."""
-        ...
-
-
 @dataclass(frozen=True, eq=False)
 class HeatModel:
     """Heat conduction d(rho c T)/dt = k lap T + q in modes; q lies in the uppermost layer.
 
     Amplitudes a (K, N) give T(x, y, z) = sum a_kn phi_k(x, y) psi_n(z), the rise over the base, K. Each obeys
     da/dt = -r a + s with r = alpha (lambda_k + mu_n^2).
-
-    `plane`, `depth`: modes of the section and of the depth; `medium`: material; `layer_mm`: thickness of the layer in which
-    heat is released, and over which its temperature is averaged.
     """
 
-    plane: PlaneModes
+    plane: ContourModes  # of the section
     depth: DepthModes
     medium: Medium
-    layer_mm: float
+    layer_mm: (
+        float  # thickness of the layer in which heat is released, and over which its temperature is averaged
+    )
 
     @property
     def rate(self) -> Floats:
@@ -76,26 +57,20 @@ class HeatModel:
 
     def stored_j(self, amplitudes: Floats) -> float:
         """Heat in the body above that at the temperature of its base."""
-        return float(
-            self.medium.heat_capacity_j_mm3k * (self.plane.integral() @ amplitudes @ self.depth.integral())
-        )
+        k_mm3 = self.plane.integral() @ amplitudes @ self.depth.integral()
+        return float(self.medium.heat_capacity_j_mm3k * k_mm3)
 
 
-NEWTON_STEPS = 8
-"""Enough for the last bits of a double."""
+NEWTON_STEPS = 8  # enough for the last bits of a double
 
 
 @dataclass(frozen=True, eq=False)
 class DepthModes:
-    """Modes psi_n of the depth, normalised: the integral of psi_n^2 over the depth is 1.
+    """Modes psi_n of the depth, normalised: the integral of psi_n^2 over the depth is 1."""
 
-    `depth_mm`: depth H from the surface to the base; `cooled`: whether the base is held at its temperature; else it is
-    insulated; `wave_number`: (N,) mu_n, 1/mm, ascending.
-    """
-
-    depth_mm: float
-    cooled: bool
-    wave_number: Floats
+    depth_mm: float  # H from the surface to the base
+    cooled: bool  # whether the base is held at its temperature; else it is insulated
+    wave_number: Floats  # (N,) mu_n, 1/mm, ascending
 
     @property
     def scale(self) -> Floats:
@@ -121,11 +96,7 @@ class DepthModes:
 
 
 def depth_modes(depth_mm: float, count: int, cooled: bool, loss_per_mm: float = 0.0) -> DepthModes:
-    """Find the first modes of a depth.
-
-    `count`: number of modes N; `cooled`: whether the base is held at its temperature; `loss_per_mm`: h/k, 1/mm: heat
-    transfer coefficient of the surface over the conductivity.
-    """
+    """Find the first `count` modes of a depth; `loss_per_mm` is the heat transfer coefficient of the surface over the conductivity."""
     biot = loss_per_mm * depth_mm
     low: Floats = np.asarray(np.pi * (np.arange(count) + (0.5 if cooled else 0.0)), np.float64)
     if biot == 0.0:
@@ -140,23 +111,14 @@ def depth_modes(depth_mm: float, count: int, cooled: bool, loss_per_mm: float = 
 
 
 def carried(old: HeatModel, amplitudes: Floats, new: HeatModel) -> Floats:
-    """Project a temperature field onto the modes of a higher body.
-
-    `old`, `new`: models in contour modes, on the same base; `amplitudes`: (K, N) of the old one.
-
-    Returns (K', N') amplitudes of the new model: the least-squares approximation of the field by its modes.
-    """
-    if not (isinstance(old.plane, ContourModes) and isinstance(new.plane, ContourModes)):
-        raise TypeError("heat is carried between modes of contours only")
-    across = overlap_of_sections(old.plane, new.plane)
+    """Project the amplitudes (K, N) of a model onto the modes of a higher body on the same base, (K', N'): the least-squares
+    approximation of the field."""
+    # Integrals (K', K) of new times old modes over the intersection of the sections.
+    grid = new.plane.grid
+    row, column = np.nonzero(grid.number >= 0)
+    centres = grid.origin + (np.column_stack([column, row]) + 0.5) * grid.step
+    across = new.plane.values.T @ (grid.area_mm2[:, None] * old.plane.at(centres))
     return np.asarray(across @ amplitudes @ overlap_of_depths(old.depth, new.depth).T, np.float64)
-
-
-def overlap_of_sections(old: ContourModes, new: ContourModes) -> Floats:
-    """Integrals (K', K) of new times old modes over the intersection of the sections."""
-    row, column = np.nonzero(new.grid.number >= 0)
-    centres = new.grid.origin + (np.column_stack([column, row]) + 0.5) * new.grid.step
-    return np.asarray(new.values.T @ (new.grid.area_mm2[:, None] * old.at(centres)), np.float64)
 
 
 def overlap_of_depths(old: DepthModes, new: DepthModes) -> Floats:

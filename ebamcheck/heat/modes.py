@@ -27,31 +27,13 @@ from ebamcheck.geometry.raster import cell_shares, face_shares, islands_in_cells
 from ebamcheck.geometry.regions import valid_polygons
 from ebamcheck.kernels import Floats, Ints
 
-CELLS_PER_WAVE = 6.0
-"""Cells per shortest wavelength. Uncorrected, the decay rate of that wave would be up to 9 % low ((k h)^2 / 12)."""
-
-WHOLE = 0.999
-"""Share of a cell that must lie in the section for it to count as whole."""
-
-LEAST_CELLS = 12.0
-"""Least number of cells across the square root of the area, lest a small region be a single cell."""
-
+WHOLE = 0.999  # share of a cell that must lie in the section for it to count as whole
+# Most cells of a section, several times what its waves need: a sliver, or thousands of specks, would need far more
 MOST_CELLS = 20_000
-"""Most cells of a section, several times what its waves need: a sliver, or thousands of specks, would need far more."""
-
-DENSE_CELLS = 800
-"""Regions with fewer cells are solved for all modes by divide and conquer, which is fastest there."""
-
-DENSE_SHARE = 0.05
-"""Larger regions are also solved by a dense solver if more than this share of all modes is wanted."""
-
-SURPLUS = 1.15
-"""Modes requested over Weyl's estimate, lest one below the limit be missed."""
 
 
 # -- Linear algebra on the calling thread only. Layers are spread over our own threads. If BLAS used threads of its own for
 # each, these would wait for each other by spinning: planning on a busy machine would take ten times as long.
-
 
 _LOCK = Lock()
 _entered = 0
@@ -93,14 +75,10 @@ def one_blas_thread() -> Iterator[None]:
 
 @dataclass(frozen=True, eq=False)
 class ContourModes:
-    """Modes phi_k of a section, normalised: the integral of phi_k^2 over it is 1.
+    """Modes phi_k of a section, normalised: the integral of phi_k^2 over it is 1."""
 
-    `eigenvalue`: (K,) lambda_k, 1/mm^2, ascending; exactly 0 for one mode of each region; `values`: (M, K) values of the
-    modes in the cells, 1/mm; `grid`: the cells.
-    """
-
-    eigenvalue: Floats
-    values: Floats
+    eigenvalue: Floats  # (K,) lambda_k, 1/mm^2, ascending; exactly 0 for one mode of each region
+    values: Floats  # (M, K) values of the modes in the cells, 1/mm
     grid: SectionGrid
 
     @property
@@ -127,48 +105,38 @@ def modes_below(area_mm2: float, perimeter_mm: float, eigenvalue: float) -> floa
     return area_mm2 * eigenvalue / (4.0 * math.pi) + perimeter_mm * math.sqrt(eigenvalue) / (4.0 * math.pi)
 
 
-def eigenvalue_of(area_mm2: float, perimeter_mm: float, count: float) -> float:
-    """Eigenvalue under which about `count` modes lie: the inverse of :func:`modes_below`."""
-    half = perimeter_mm / (2.0 * area_mm2)
-    return (math.sqrt(half**2 + 4.0 * math.pi * count / area_mm2) - half) ** 2
-
-
 @one_blas_thread()
 def contour_modes(
-    section: BaseGeometry,
-    largest_eigenvalue: float,
-    most_modes: int,
-    cells_per_wave: float = CELLS_PER_WAVE,
+    section: BaseGeometry, largest_eigenvalue: float, most_modes: int, cells_per_wave: float = 6.0
 ) -> ContourModes:
-    """Find the modes of a section up to an eigenvalue.
+    """Find the modes of a section (polygon or multi-polygon, mm) up to an eigenvalue; raises GeometryError if it has no area.
 
-    `section`: polygon or multi-polygon, mm; `largest_eigenvalue`: (2 pi / wavelength)^2 of the shortest wave, 1/mm^2;
-    `most_modes`: most modes, in effect a lower limit of the eigenvalue; one per region is always kept; `cells_per_wave`:
-    cells per shortest wavelength.
-
-    Raises GeometryError if the section has no area.
+    `largest_eigenvalue`: (2 pi / wavelength)^2 of the shortest wave, 1/mm^2; `most_modes`: in effect a lower limit of the eigenvalue;
+    one per region is always kept; `cells_per_wave`: cells per shortest wavelength: with six, its decay rate would be up to 9 % low if
+    it were not corrected ((k h)^2 / 12).
     """
     parts = valid_polygons(section)
     area, perimeter = sum(p.area for p in parts), sum(p.length for p in parts)
     if area <= 0.0:
         raise GeometryError("heat in a section without area: give at least one polygon")
-    limit = min(largest_eigenvalue, eigenvalue_of(area, perimeter, most_modes))
+    # The inverse of :func:`modes_below`.
+    half = perimeter / (2.0 * area)
+    limit = min(largest_eigenvalue, (math.sqrt(half**2 + 4.0 * math.pi * most_modes / area) - half) ** 2)
     step = 2.0 * math.pi / math.sqrt(limit) / cells_per_wave
     # Least width of cells for MOST_CELLS of them to cover the section and its border.
     least = (perimeter + math.sqrt(perimeter**2 + 4.0 * area * MOST_CELLS)) / (2.0 * MOST_CELLS)
-    grid = section_grid(parts, max(min(step, math.sqrt(area) / LEAST_CELLS), least))
+    # Twelve cells across the square root of the area, lest a small region be a single cell.
+    grid = section_grid(parts, max(min(step, math.sqrt(area) / 12.0), least))
     count, region = csgraph.connected_components(grid.coupling, directed=False)
     place = np.argwhere(grid.number >= 0) * grid.step[::-1]
-    by_region = np.split(
-        np.argsort(region, kind="stable"), np.cumsum(np.bincount(region, minlength=count))[:-1]
-    )
-    found = [
-        _region_modes(grid, cells, float(np.ptp(place[cells], axis=0).max()), limit) for cells in by_region
-    ]
-    eigenvalue = np.concatenate([values for values, _, _ in found])
+    edges = np.cumsum(np.bincount(region, minlength=count))[:-1]
+    regions = np.split(np.argsort(region, kind="stable"), edges)
+    extents_mm = [float(np.ptp(place[cells], axis=0).max()) for cells in regions]
+    solved = [_region_modes(grid, cells, mm, limit) for cells, mm in zip(regions, extents_mm, strict=True)]
+    eigenvalue = np.concatenate([own for own, _ in solved])
     values = np.zeros((len(grid.area_mm2), len(eigenvalue)))
     used = 0
-    for own, modes, cells in found:
+    for (own, modes), cells in zip(solved, regions, strict=True):
         values[cells, used : used + len(own)] = modes
         used += len(own)
     eigenvalue = undispersed(grid, eigenvalue, values)
@@ -203,21 +171,19 @@ def undispersed(grid: SectionGrid, eigenvalue: Floats, values: Floats) -> Floats
     return np.where(eigenvalue == 0.0, 0.0, eigenvalue + low)
 
 
-def _region_modes(
-    grid: SectionGrid, cells: Ints, extent_mm: float, limit: float
-) -> tuple[Floats, Floats, Ints]:
-    """Eigenvalues up to the limit, modes in the cells of one region of an extent, and those cells."""
+def _region_modes(grid: SectionGrid, cells: Ints, extent_mm: float, limit: float) -> tuple[Floats, Floats]:
+    """Eigenvalues up to the limit, and modes, in the cells of one region of an extent."""
     area = grid.area_mm2[cells]
     total, size = float(area.sum()), len(cells)
-    border = 4.0 * math.sqrt(total)
-    wanted = min(size, math.ceil(SURPLUS * modes_below(total, border, limit)) + 1)
+    # More modes than Weyl's estimate, lest one below the limit be missed.
+    wanted = min(size, math.ceil(1.15 * modes_below(total, 4.0 * math.sqrt(total), limit)) + 1)
     root = np.sqrt(area)
     scale = sparse.diags_array(1.0 / root)
     matrix = sparse.csc_array(scale @ grid.coupling[cells][:, cells] @ scale)
-    if size <= DENSE_CELLS:
-        # The same routine as scipy's, but free of the interpreter lock.
+    if size <= 800:
+        # All modes by divide and conquer, which is fastest there: scipy's routine, but free of the interpreter lock.
         eigenvalue, vectors = np.linalg.eigh(matrix.toarray())
-    elif wanted > DENSE_SHARE * size:
+    elif wanted > 0.05 * size:
         eigenvalue, vectors = linalg.eigh(matrix.toarray(), subset_by_index=(0, wanted - 1))
     else:
         # A shift just below zero keeps the matrix definite; it is less than the eigenvalue of the first wave along the
@@ -231,37 +197,36 @@ def _region_modes(
     vectors[:, 1:] -= np.outer(vectors[:, 0], vectors[:, 0] @ vectors[:, 1:])
     kept = eigenvalue <= limit
     kept[0] = True
-    return np.asarray(eigenvalue[kept], np.float64), vectors[:, kept] / root[:, None], cells
+    return np.asarray(eigenvalue[kept], np.float64), vectors[:, kept] / root[:, None]
 
 
+# Least share of a cell or face in the section; with less it is left out, as irrelevant for heat
 LEAST_SHARE = 1e-6
-"""Least share of a cell or face in the section; with less it is left out, as irrelevant for heat."""
 
 
 @dataclass(frozen=True, eq=False)
 class SectionGrid:
-    """Cells of a section.
+    """Cells of a section."""
 
-    `origin`, `step`: (2,) lower left corner, and width and height of a cell, mm; `number`: (rows, columns) number of each
-    cell, -1 outside the section; `area_mm2`: (M,) area of each cell within the section; `coupling`: (M, M) sparse Laplacian
-    of the faces, positive semi-definite: open length over distance.
-    """
-
-    origin: Floats
-    step: Floats
-    number: Ints
-    area_mm2: Floats
-    coupling: sparse.csr_array
+    origin: Floats  # (2,) lower left corner, mm
+    step: Floats  # (2,) width and height of a cell, mm
+    number: Ints  # (rows, columns) number of each cell, -1 outside the section
+    area_mm2: Floats  # (M,) area of each cell within the section
+    coupling: (
+        sparse.csr_array
+    )  # (M, M) Laplacian of the faces, positive semi-definite: open length over distance
 
     def island_shares(self, islands: NDArray[np.object_]) -> sparse.csr_array:
-        """Share of each island's area in each cell, (I, M): rows add up to 1."""
+        """Share of each island's area in each cell, (I, M): rows add up to 1, or are empty."""
         points, (ring_starts, island_rings) = oriented_rings(islands, self.origin, self.step)
         owner, place, area = islands_in_cells(points, ring_starts, island_rings, self.number.shape)
         cell = self.number.ravel()[place]
         kept = (cell >= 0) & (area > 0.0)
         shape = (len(islands), len(self.area_mm2))
         table = sparse.csr_array((area[kept], (owner[kept], cell[kept])), shape=shape)
-        return _rows_of_one(table)
+        total: Floats = np.asarray(table.sum(axis=1), np.float64).ravel()
+        scale = np.divide(1.0, total, out=np.zeros_like(total), where=total > 0)
+        return sparse.csr_array(sparse.diags_array(scale) @ table)
 
     def interpolation(self, points: Floats) -> sparse.csr_array:
         """Weights (P, M) of the cells around points; rows add up to 1, or 0 far outside.
@@ -289,8 +254,7 @@ class SectionGrid:
     def _weights(self, corner: Ints, along: Floats) -> tuple[Floats, Ints]:
         """Weights and cells (P, W^2) around points, by rows from the lower left; -1 outside of the section.
 
-        `corner`: (P, 2) column and row of the cell to the lower left of each point; `along`: (W, P, 2) weights of W columns
-        and rows, among which `corner` is the lower of the middle two.
+        The weights `along` (W, P, 2) are those of W columns and rows, of which `corner` (P, 2) is the lower of the middle two.
         """
         reach = np.arange(len(along)) - (len(along) // 2 - 1)
         rows, columns = self.number.shape
@@ -333,24 +297,13 @@ def section_grid(parts: Sequence[shapely.Polygon], step_mm: float) -> SectionGri
     along = _pairs(number[:-1], number[1:], np.abs(flat[1:rows]) * (step[0] / step[1]))
     a, b, conductance = (np.concatenate(c) for c in zip(across, along, strict=True))
     area = share[inside] * (step[0] * step[1])
-    return SectionGrid(origin, step, number, area, _laplacian(a, b, conductance, len(area)))
+    beside = sparse.coo_array((conductance, (a, b)), shape=(len(area), len(area)))
+    both = sparse.csr_array(beside + beside.T)
+    coupling = sparse.csr_array(sparse.diags_array(np.asarray(both.sum(axis=1)).ravel()) - both)
+    return SectionGrid(origin, step, number, area, coupling)
 
 
 def _pairs(first: Ints, second: Ints, conductance: Floats) -> tuple[Ints, Ints, Floats]:
     """Cells on both sides of every open face."""
     kept = (first >= 0) & (second >= 0) & (conductance > LEAST_SHARE)
     return first[kept], second[kept], conductance[kept]
-
-
-def _laplacian(a: Ints, b: Ints, conductance: Floats, count: int) -> sparse.csr_array:
-    """Graph Laplacian of the faces."""
-    beside = sparse.coo_array((conductance, (a, b)), shape=(count, count))
-    both = sparse.csr_array(beside + beside.T)
-    return sparse.csr_array(sparse.diags_array(np.asarray(both.sum(axis=1)).ravel()) - both)
-
-
-def _rows_of_one(table: sparse.csr_array) -> sparse.csr_array:
-    """Rows scaled so that each adds up to 1; empty rows stay empty."""
-    total: Floats = np.asarray(table.sum(axis=1), np.float64).ravel()
-    scale = np.divide(1.0, total, out=np.zeros_like(total), where=total > 0)
-    return sparse.csr_array(sparse.diags_array(scale) @ table)

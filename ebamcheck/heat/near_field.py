@@ -1,18 +1,14 @@
 """The fresh heat that truncated modes cannot show: where the beam enters, and in islands beside the last ones.
 
-The temperature of an island by the modes of its section is right for heat that is old: waves shorter than an island
-die out within seconds. Heat younger than a horizon is therefore left out of the modes
-(:mod:`ebamcheck.heat.field`), and comes, between islands that are near each other, from Green's functions of the
-conduction itself; at islands farther apart it has not arrived yet, and what the modes would have of it is the ripple of
-those that they lack.
-The Green's function is a Gaussian in the plane, times the exact function of
-the depth. What the free Gaussian would lose through the outline stays in the metal: it is divided by its own share in
-the metal in sight (:mod:`ebamcheck.heat.near_field`), which is exact far from the outline, on a straight border, in a
-corner, and in a thin wall. No heat of this kind passes a gap.
+Waves shorter than an island die out within seconds: its temperature by the modes of the section is right for old heat. Heat younger
+than a horizon is left out of the modes (:mod:`ebamcheck.heat.field`), and comes, between islands near each other, from Green's
+functions of the conduction. For distant islands it is zero; truncated modes would only add ringing. The Green's function is a
+Gaussian in the plane, times the exact function of the depth. What the free Gaussian would lose through the outline stays in the
+metal: it is divided by its own share in the metal in sight, which is exact far from the outline, on a straight border, in a corner,
+and in a thin wall. No heat of this kind passes a gap.
 
-Two figures come from it, both on top of the old heat: the mean temperature of an island, heated by islands that are warm
-as a whole; and the temperature under the beam at the point of entry, heated by the lines of islands in the sequence
-in which they were driven.
+Two figures come from it, both on top of the old heat: the mean temperature of an island, heated by islands that are warm as a whole;
+and the temperature under the beam at the point of entry, heated by the lines of islands in the sequence in which they were driven.
 """
 
 from __future__ import annotations
@@ -35,43 +31,23 @@ from ebamcheck.heat.model import DepthModes, HeatModel, depth_modes
 from ebamcheck.kernels import Bools, Floats, Ints, kernel
 from ebamcheck.threads import run_blocks
 
-OPTIONS = 4
-"""Entry options of an island, as in :class:`~ebamcheck.scan.filling.schedule.IslandSchedule`."""
-
+OPTIONS = 4  # entry options of an island, as in :class:`~ebamcheck.scan.filling.schedule.IslandSchedule`
+# Times that the triangles of an island are halved: a hexagon has 8 tiles then, each a Gaussian of its moment; and decimals of the
+# corners, mm, by which they are cut
 HALVED, DECIMALS = 1, 6
-"""Times that the triangles of an island are halved: a hexagon has 8 tiles then, each a Gaussian of its moment; and decimals
-of the corners, mm, by which they are cut."""
-
-FLAT = 0.05
-"""Deviation, over its width, by which the border of an island is simplified before it is cut into triangles."""
-
-DIED_OUT = 3.0
-"""Exponent by which the shortest wave of the modes has fallen at the horizon, at least: to 5 %."""
-
+FLAT = 0.05  # deviation, over its width, by which the border of an island is simplified before it is cut into triangles
+DIED_OUT = 3.0  # exponent by which the shortest wave of the modes has fallen at the horizon, at least: to 5 %
+# Horizon, at least, in times in which heat crosses an island, w^2 / alpha: until then its sides differ by much
 WITHIN_AN_ISLAND = 0.15
-"""Horizon, at least, in times in which heat crosses an island, w^2 / alpha: until then its sides differ by much."""
-
+# Islands farther apart than so many standard deviations of the spread until the horizon, or than so many widths of an island, do
+# not count as near
 SIGMAS, MOST_REACH = 2.5, 6.0
-"""Islands farther apart than so many standard deviations of the spread until the horizon, or than so many widths of an island,
-do not count as near."""
-
-PIECES, SHORTEST = 4.0, 0.5
-"""Pieces of a line of an island's width, at most, and the shortest piece over the width of a bead."""
-
-AGES = 10
-"""Intervals of the tables; age n lies at n^2."""
-
+AGES = 10  # intervals of the tables; age n lies at n^2
+# Waves of the depth in the thickness of a layer, which carry the exact function of the depth; and in all, at most
 DEPTH_WAVES, MOST_DEPTH_WAVES = 6.0, 2000
-"""Waves of the depth in the thickness of a layer, which carry the exact function of the depth; and in all, at most."""
-
-FAR = 16.0
-"""Squared distances over this times the variance bring nothing: exp(-8)."""
-
-SPARE = 1e-9
-"""Share, and mm^2, by which a spread that brings nothing stays under the one that would."""
-
-FEWEST_PAIRS, FEWEST_POINTS = 16, 64
-"""Pairs of islands, and points, that a thread is worth."""
+FAR = 16.0  # squared distances over this times the variance bring nothing: exp(-8)
+SPARE = 1e-9  # share, and mm^2, by which a spread that brings nothing stays under the one that would
+FEWEST_PAIRS, FEWEST_POINTS = 16, 64  # pairs of islands, and points, that a thread is worth
 
 
 class NearField(NamedTuple):
@@ -105,94 +81,78 @@ def near_field(
     islands (I,) of a section may be entered, mm, `lines` the island, start and end of their lines, sorted by island.
     """
     centroid, area_mm2 = shapely.get_coordinates(shapely.centroid(islands)), shapely.area(islands)
-    alpha = model.medium.diffusivity_mm2_s
-    count, width2 = len(area_mm2), float(area_mm2.mean())
+    alpha, count, width2 = model.medium.diffusivity_mm2_s, len(area_mm2), float(area_mm2.mean())
     longest_mm2 = 0.5 * width2 * (MOST_REACH / SIGMAS) ** 2
     horizon_s = min(max(DIED_OUT / complete, WITHIN_AN_ISLAND * width2), longest_mm2) / alpha
-    pieces = line_pieces(lines, centroid, area_mm2, max(SHORTEST * bead_mm, math.sqrt(width2) / PIECES))
-    pairs = near_pairs(pieces, count, SIGMAS * math.sqrt(2.0 * alpha * horizon_s))
-    first, other, pair = by_island(pairs, count)
-    root = np.linspace(0.0, 1.0, 2 * AGES + 1)
-    age = horizon_s * root**2
-    depth = of_layer(exact_depth(model), model, age)
-    spread = 2.0 * alpha * age
+    # A line of an island's width is at most four pieces; none is shorter than half a bead.
+    pieces = line_pieces(lines, centroid, area_mm2, max(0.5 * bead_mm, math.sqrt(width2) / 4.0))
+    tree, owner = cKDTree(pieces.place), np.repeat(np.arange(count), np.diff(pieces.first))
+    keys = _pair_keys(tree, owner, SIGMAS * math.sqrt(2.0 * alpha * horizon_s))
+    pairs = np.stack([keys // count, keys % count], axis=1)
+    age = horizon_s * np.linspace(0.0, 1.0, 2 * AGES + 1) ** 2
+    depth, spread = of_layer(exact_depth(model), model, age), 2.0 * alpha * age
     # Means are those of whole islands, as the modes have them; lines end short of their borders.
     tiles = island_tiles(islands)
+    columns = tiles.first, tiles.place, tiles.share, tiles.variance
     free = np.concatenate(
-        run_blocks(lambda a, b: between_pieces(*tiles, pairs[a:b], spread), len(pairs), FEWEST_PAIRS)
+        run_blocks(lambda a, b: between_pieces(*columns, pairs[a:b], spread), len(pairs), FEWEST_PAIRS)
     )
-    inside = of_islands(section, tiles, spread)
+    # Share of the heat of each island that stays in the metal in sight when it has spread so far.
+    held = enclosed_share(section, tiles.place, np.add.outer(2.0 * tiles.variance, spread))
+    inside = np.add.reduceat(tiles.share[:, None] * held, tiles.first[:-1])
     free /= 0.5 * (inside[pairs[:, 0]] + inside[pairs[:, 1]])
-    free[hidden(section, pieces, pairs, centroid, bead_mm)] = 0.0
+    apart = np.flatnonzero(~np.isin(keys, _pair_keys(tree, owner, bead_mm)))
+    free[apart[_hidden(section, centroid[pairs[apart]])]] = 0.0
     beam_mm2, entry = 2.0 * (BEAM_SHARE * bead_mm) ** 2, np.ascontiguousarray(entry)
     around = beam_mm2 + float(pieces.variance.mean()) + spread[::2]
+    at_entries = enclosed_share(section, entry.reshape(-1, 2), np.tile(around, (OPTIONS * count, 1)))
+    # The pairs from the view of each island.
+    unlike = np.flatnonzero(pairs[:, 0] != pairs[:, 1])
+    one, other = (np.concatenate([pairs[:, k], pairs[unlike, 1 - k]]) for k in (0, 1))
+    sort = np.lexsort((other, one))
     return NearField(
         horizon_s=horizon_s,
         spread_mm2_s=2.0 * alpha,
         beam_mm2=beam_mm2,
-        first=first,
-        other=other,
-        pair=pair,
+        first=_first_rows(one, count),
+        other=other[sort],
+        pair=np.concatenate([np.arange(len(pairs)), unlike])[sort],
         exact=cumulated(free * depth, horizon_s),
         depth=depth,
-        inside=enclosed_share(section, entry.reshape(-1, 2), np.tile(around, (OPTIONS * count, 1))).reshape(
-            count, OPTIONS, -1
-        ),
+        inside=at_entries.reshape(count, OPTIONS, -1),
         pieces=pieces,
         entry=entry,
     )
 
 
-def near_pairs(pieces: Pieces, count: int, reach_mm: float) -> Ints:
-    """Pairs (U, 2) of islands of which some pieces lie within a reach, the lesser first, and each with itself."""
-    owner = np.repeat(np.arange(count), np.diff(pieces.first))
-    close = owner[cKDTree(pieces.place).query_pairs(reach_mm, output_type="ndarray")]
-    both = np.unique(np.sort(close, axis=1) @ np.array([count, 1])) if len(close) else np.zeros(0, np.int64)
-    itself = np.arange(count) * (count + 1)
-    keys = np.union1d(both, itself)
-    return np.column_stack([keys // count, keys % count]).astype(np.int64)
+def _pair_keys(tree: cKDTree, owner: Ints, reach_mm: float) -> Ints:
+    """Pairs a <= b of I islands with pieces within a reach, and each with itself, as sorted keys a I + b; `owner` has each piece's."""
+    count = int(owner[-1]) + 1
+    close = np.sort(owner[tree.query_pairs(reach_mm, output_type="ndarray")], axis=1)
+    return np.union1d(close @ np.array([count, 1]), np.arange(count) * (count + 1))
 
 
-def of_islands(section: BaseGeometry, pieces: Tiles, spread_mm2: Floats) -> Floats:
-    """Share of the heat of each island that stays in the metal in sight when it has spread by a variance, (I, Q)."""
-    share = enclosed_share(section, pieces.place, np.add.outer(2.0 * pieces.variance, spread_mm2))
-    return np.add.reduceat(pieces.share[:, None] * share, pieces.first[:-1])
-
-
-def hidden(section: BaseGeometry, pieces: Pieces, pairs: Ints, centroid: Floats, bead_mm: float) -> Bools:
-    """Whether there is a gap between the islands of each pair (U,): none where pieces lie within a bead's width."""
-    count = len(centroid)
-    close = near_pairs(pieces, count, bead_mm) @ np.array([count, 1])
-    apart = np.flatnonzero(~np.isin(pairs @ np.array([count, 1]), close))
-    apart_mm = np.hypot(*(centroid[pairs[apart, 1]] - centroid[pairs[apart, 0]]).T)
+def _hidden(section: BaseGeometry, ends: Floats) -> Bools:
+    """Whether a gap lies between the centroids (U, 2, 2) of pairs of islands."""
     # A line from an island leaves the metal only where the outline is nearer than its other end.
     outline = shapely.boundary(section)
-    shapely.prepare(outline)
-    apart = apart[shapely.dwithin(outline, shapely.points(centroid[pairs[apart, 0]]), apart_mm)]
-    shapely.prepare(section)
-    sight = shapely.linestrings(np.stack([centroid[pairs[apart, 0]], centroid[pairs[apart, 1]]], axis=1))
-    found = np.zeros(len(pairs), np.bool_)
-    found[apart] = ~shapely.covers(section, sight)
-    return found
+    shapely.prepare([outline, section])
+    long_mm = np.hypot(*(ends[:, 1] - ends[:, 0]).T)
+    doubtful = np.asarray(shapely.dwithin(outline, shapely.points(ends[:, 0]), long_mm), np.bool_)
+    doubtful[doubtful] = ~shapely.covers(section, shapely.linestrings(ends[doubtful]))
+    return doubtful
 
 
-def by_island(pairs: Ints, count: int) -> tuple[Ints, Ints, Ints]:
-    """Pairs from the view of each island: first entry (I + 1,), the other island (P,), row of the pair (P,)."""
-    apart = np.flatnonzero(pairs[:, 0] != pairs[:, 1])
-    one = np.concatenate([pairs[:, 0], pairs[apart, 1]])
-    other = np.concatenate([pairs[:, 1], pairs[apart, 0]])
-    row = np.concatenate([np.arange(len(pairs)), apart])
-    sort = np.lexsort((other, one))
-    first = np.concatenate([[0], np.cumsum(np.bincount(one, minlength=count))])
-    return first.astype(np.int64), other[sort], row[sort]
+def _first_rows(owner: Ints, count: int) -> Ints:
+    """First row (I + 1,) of each of the islands that own some rows, where these are sorted by island."""
+    return np.concatenate([[0], np.cumsum(np.bincount(owner, minlength=count))]).astype(np.int64)
 
 
 def exact_depth(model: HeatModel) -> DepthModes:
     """Modes of the model's depth that carry waves much shorter than a layer."""
     depth = model.depth
     count = min(MOST_DEPTH_WAVES, math.ceil(DEPTH_WAVES * depth.depth_mm / model.layer_mm) + 1)
-    loss = model.medium.radiation_w_mm2k / model.medium.conductivity_w_mmk
-    return depth_modes(depth.depth_mm, count, depth.cooled, loss)
+    return depth_modes(depth.depth_mm, count, depth.cooled, model.medium.loss_per_mm)
 
 
 def of_layer(depth: DepthModes, model: HeatModel, age_s: Floats) -> Floats:
@@ -292,28 +252,21 @@ def entry_rise(
 # -- Enclosed share: how much of a Gaussian around a point lies in the metal that the point sees ---------------
 
 
+# Rays from each point to the outline, and the exponent from which on what a Gaussian has beyond the outline counts as nothing: at
+# three standard deviations
 DIRECTIONS, FELT = 32, 4.5
-"""Rays from each point to the outline, and the exponent from which on what a Gaussian has beyond the outline counts as nothing:
-at three standard deviations."""
-
-LEAST_SHARE = 0.05
-"""Least share, that of a wedge of 18 degrees: a point on a tip holds its heat."""
-
+LEAST_SHARE = 0.05  # least share, that of a wedge of 18 degrees: a point on a tip holds its heat
+# Crossings nearer than this are the outline on which the point lies, not what its ray meets
 ON_OUTLINE_MM = 1e-6
-"""Crossings nearer than this are the outline on which the point lies, not what its ray meets."""
-
+# Segments of the outline that are passed over together where all of them are too far away to be felt
 STRETCH = 64
-"""Segments of the outline that are passed over together where all of them are too far away to be felt."""
 
 
 def enclosed_share(section: BaseGeometry, points: Floats, variance_mm2: Floats) -> Floats:
-    """Share of Gaussians around points that lies in the metal in sight, (P, Q).
+    """Share (P, Q) of Gaussians around points (P, 2), mm, that lies in the metal in sight, by their variances (P, Q) along each axis.
 
-    Along a ray the Gaussian has the share 1 - exp(-r^2 / (2 variance)) up to its first crossing of the outline; the
-    mean over all directions is exact for what is in sight. Heat does not pass a gap, and what is out of sight behind
-    a bend is far.
-
-    `section`: polygon or multi-polygon; `points`: (P, 2) mm; `variance_mm2`: (P, Q) along each axis.
+    Along a ray the Gaussian has the share 1 - exp(-r^2 / (2 variance)) up to its first crossing of the outline; the mean over all
+    directions is exact for what is in sight. Heat does not pass a gap, and what is out of sight behind a bend is far.
     """
     rings = [shapely.get_coordinates(line) for line in shapely.get_parts(shapely.boundary(section))]
     outline = np.concatenate(rings)
@@ -354,9 +307,10 @@ def ray_table() -> Floats:
 def in_sight(
     points: Floats, variance: Floats, outline: Floats, goes_on: Bools, boxes: Floats, rays: Floats
 ) -> Floats:
-    """See :func:`enclosed_share`; from each of the points (S, 2) of the `outline` to the next goes a segment, or none.
+    """Shares as :func:`enclosed_share` gives them, before their least.
 
-    `boxes` (B, 4) are those of stretches of the outline, `rays` those of :func:`ray_table`.
+    From each of the points (S, 2) of the `outline` to the next goes a segment, where it `goes_on`; `boxes` (B, 4) are those of its
+    stretches, `rays` those of :func:`ray_table`.
     """
     count, nearest = len(outline), np.empty(DIRECTIONS)
     share = np.zeros(variance.shape)
@@ -400,18 +354,15 @@ def in_sight(
 
 
 class Pieces(NamedTuple):
-    """Pieces of lines, side by side those of one island.
+    """Pieces of lines, or tiles that cover islands, sorted by island."""
 
-    `first`: (I + 1,) first piece of each island; `place`: (M, 2) middle, mm; `share`: (M,) of the island's heat, and of its
-    area; `passed`: (4, M) share of the island's time after which the beam is there, by the entry option; `variance`: (M,)
-    of the heat around the middle along one axis, mm^2: that of a square tile of the same area.
-    """
-
-    first: Ints
-    place: Floats
-    share: Floats
-    passed: Floats
-    variance: Floats
+    first: Ints  # (I + 1,) first piece of each island
+    place: Floats  # (M, 2) middle, mm
+    share: Floats  # (M,) share of the island's heat, and of its area
+    passed: Floats  # (4, M) share of the island's time after which the beam is there, by the entry option; no rows for tiles
+    variance: (
+        Floats  # (M,) of the heat around the middle along one axis, mm^2: of a square tile of the same area
+    )
 
 
 def line_pieces(
@@ -442,7 +393,7 @@ def line_pieces(
     turned = (before[line] + (1.0 - along) * length[line]) / total[owner]
     share = length[line] / pieces[line] / total[owner]
     return Pieces(
-        first=np.concatenate([[0], np.cumsum(np.bincount(owner, minlength=count))]).astype(np.int64),
+        first=_first_rows(owner, count),
         place=start[line] + along[:, None] * (end - start)[line],
         share=share,
         passed=np.stack([forward, turned, 1.0 - forward, 1.0 - turned]),
@@ -450,16 +401,7 @@ def line_pieces(
     )
 
 
-class Tiles(NamedTuple):
-    """Islands in tiles that cover them, as :class:`Pieces` has their lines: first, place, share and variance alike."""
-
-    first: Ints
-    place: Floats
-    share: Floats
-    variance: Floats
-
-
-def island_tiles(islands: NDArray[np.object_]) -> Tiles:
+def island_tiles(islands: NDArray[np.object_]) -> Pieces:
     """Cut polygons (I,) into triangles, each halved :data:`HALVED` times across its longest edge."""
     centroid = shapely.get_coordinates(shapely.centroid(islands))
     corners, island = _triangles(_simplified(islands, centroid))
@@ -470,11 +412,13 @@ def island_tiles(islands: NDArray[np.object_]) -> Tiles:
     place = corners.mean(axis=1)
     # The mean squared distance from the centroid of a triangle is a twelfth of the sum of those of its corners.
     variance = ((corners - place[:, None]) ** 2).sum(axis=(1, 2)) / 24.0
-    return Tiles(
-        first=np.concatenate([[0], np.cumsum(np.bincount(island, minlength=len(islands)))]).astype(np.int64),
-        place=place + centroid[island],
-        share=area / np.bincount(island, area, len(islands))[island],
-        variance=variance,
+    share = area / np.bincount(island, area, len(islands))[island]
+    return Pieces(
+        _first_rows(island, len(islands)),
+        place + centroid[island],
+        share,
+        np.zeros((0, len(share))),
+        variance,
     )
 
 
@@ -485,21 +429,27 @@ def _simplified(islands: NDArray[np.object_], centroid: Floats) -> NDArray[np.ob
     """
     points, owner = shapely.get_coordinates(islands, return_index=True)
     seen = points - centroid[owner]
-    shifted = shapely.set_coordinates(islands.copy(), seen)
     width_mm, _ = equivalent_rectangles_mm(islands)
     rounded = shapely.set_coordinates(islands.copy(), np.round(seen, DECIMALS))
     rounded = np.asarray(shapely.simplify(rounded, FLAT * width_mm), object)
     broken = ~shapely.is_valid(rounded) | ~(shapely.area(rounded) > 0.0)
-    rounded[broken] = shifted[broken]
+    rounded[broken] = shapely.set_coordinates(islands.copy(), seen)[broken]
     return rounded
 
 
 def _triangles(polygons: NDArray[np.object_]) -> tuple[Floats, Ints]:
     """Corners (T, 3, 2) of triangles that cover polygons (I,), and whose each is; those of the hull of one that cannot be cut."""
+
+    def cut_or_nothing(polygon: shapely.Polygon) -> BaseGeometry:
+        try:
+            return shapely.constrained_delaunay_triangles(polygon)
+        except shapely.GEOSException:
+            return shapely.Polygon()
+
     try:
         cut = np.asarray(shapely.constrained_delaunay_triangles(polygons), object)
     except shapely.GEOSException:
-        cut = np.array([_cut_or_nothing(polygon) for polygon in polygons], object)
+        cut = np.array([cut_or_nothing(polygon) for polygon in polygons], object)
     lost = shapely.area(cut) <= 0.0
     parts, owner = shapely.get_parts(cut[~lost], return_index=True)
     corners = [shapely.get_coordinates(parts).reshape(-1, 4, 2)[:, :3]]
@@ -510,13 +460,6 @@ def _triangles(polygons: NDArray[np.object_]) -> tuple[Floats, Ints]:
         owners.append(np.full(len(ring) - 2, i))
     order = np.argsort(np.concatenate(owners), kind="stable")
     return np.concatenate(corners)[order], np.concatenate(owners)[order]
-
-
-def _cut_or_nothing(polygon: shapely.Polygon) -> BaseGeometry:
-    try:
-        return shapely.constrained_delaunay_triangles(polygon)
-    except shapely.GEOSException:
-        return shapely.Polygon()
 
 
 def _halved(corners: Floats) -> Floats:

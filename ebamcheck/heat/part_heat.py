@@ -9,7 +9,9 @@ that nothing is counted twice.
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -21,16 +23,11 @@ from ebamcheck.kernels import Bools, Floats, Ints
 
 @dataclass(frozen=True, eq=False)
 class BeadPower:
-    """Power of the beads of one layer along themselves, as columns (n,) of their stretches.
+    """Power of the beads of one layer along themselves, as columns (n,) of their stretches."""
 
-    `bead`: which bead each is of, by its number in the sequence; `part`: its share of the bead's length, times what ramps
-    leave it of the power; `least`: share of the full power that it has at least, see
-    :func:`ebamcheck.heat.medium.own_power_shares`.
-    """
-
-    bead: Ints
-    part: Floats
-    least: Floats
+    bead: Ints  # bead of each, by its number in the sequence
+    part: Floats  # share of the bead's length, times the share of the power that ramps leave it
+    least: Floats  # share of the full power that it has at least, see :func:`ebamcheck.heat.medium.own_power_shares`
 
     def mean(self, share: float, beads: int) -> Floats:
         """Mean power of the beads, (B,), over the full one, where the layer has a share of it."""
@@ -63,18 +60,11 @@ class Beads:
         """Return the number of beads."""
         return len(self.move_s)
 
-    def shape(self, bead: int) -> Floats:
-        """Mean of the modes over a bead, (K,)."""
-        a, b = self.first[bead : bead + 2]
-        return np.asarray(self.pieces[:, a:b] @ self.time_s[a:b] / self.time_s[a:b].sum(), np.float64)
-
-
-@dataclass(frozen=True, eq=False)
-class Before:
-    """What differed across the section when an island was begun, and how long ago that was, s."""
-
-    field: Field
-    age_s: float = 0.0
+    @cached_property
+    def shapes(self) -> list[Floats]:
+        """Means of the modes over each bead, (K,), the same however often the layer is simulated."""
+        spans = [slice(*span) for span in itertools.pairwise(self.first.tolist())]
+        return [self.pieces[:, at] @ self.time_s[at] / self.time_s[at].sum() for at in spans]
 
 
 class AgedColumns:
@@ -89,9 +79,8 @@ class AgedColumns:
         if time_s <= 0.0:
             return self._column
         if time_s not in self._aged:
-            column = self._column.copy()
-            column.advance(time_s)
-            self._aged[time_s] = column
+            self._aged[time_s] = self._column.copy()
+            self._aged[time_s].advance(time_s)
         return self._aged[time_s]
 
 
@@ -106,8 +95,8 @@ class PartHeat:
     column: HeatColumn
     model: HeatModel | None = None
     field: Field = dataclasses.field(default_factory=lambda: Field(np.zeros((0, 0)), *3 * (np.zeros(0),)))
+    # (N,) mean of the depth's modes over the layer under the uppermost one: the new one begins cold
     reading: Floats = dataclasses.field(default_factory=lambda: np.zeros(0))
-    """(N,) mean of the depth's modes over the layer under the uppermost one: the new one begins cold."""
 
     def copy(self) -> PartHeat:
         """The same part, to be aged by itself."""
@@ -124,7 +113,7 @@ class PartHeat:
         return PartHeat(self.column.copy(), model, Field.of(model, state), reading)
 
     def rest(self, duration_s: float, aged: AgedColumns | None = None) -> None:
-        """Let a time go by with the beam off; `aged` are columns of this moment, which it takes the one of the end from."""
+        """Let a time go by with the beam off; `aged` are columns of this moment, of which it takes the one at the end."""
         if aged is None:
             self.column.advance(duration_s)
         else:
@@ -146,19 +135,18 @@ class PartHeat:
         self,
         shape: Floats,
         wait_s: float = 0.0,
-        before: Before | None = None,
+        before: tuple[Field, float] | None = None,
         aged: AgedColumns | None = None,
     ) -> float:
         """Temperature that a bead finds after a wait, absolute, K: that of its place, or the mean where that is warmer.
 
-        `before`: what differed across the section before the bead's own island was begun: what this has put there itself is
-        part of its melt pool, and counts in the mean alone; `aged`: the columns of this moment, where several waits are
-        tried.
+        `before`: field when the bead's own island was begun, and how long ago that was, s: heat that the island has put there itself
+        is part of its melt pool, and counts in the mean alone; `aged`: the columns of this moment, where several waits are tried.
         """
         mean_k = (aged or AgedColumns(self.column)).after(wait_s).bed_k
         if self.model is None or not len(shape):
             return mean_k
-        across, age_s = (self.field, 0.0) if before is None else (before.field, before.age_s)
+        across, age_s = before or (self.field, 0.0)
         away = across.rise_k(shape, self.reading, age_s + wait_s)
         return float(mean_k + max(away, 0.0))
 

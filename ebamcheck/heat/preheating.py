@@ -9,12 +9,14 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
+from ebamcheck.geometry.raster import each_of
 from ebamcheck.geometry.regions import eroded
 from ebamcheck.heat import HeatModel, Medium, contour_modes, depth_modes
 from ebamcheck.heat.balance import LARGEST_CELL_MM, HeatColumn
@@ -25,39 +27,24 @@ from ebamcheck.kernels import Bools, Floats
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.stages import AIM_K, JOINED_SPACINGS, LEAST_LINE_MM, LEAST_REST_S
 
-SIGMAS = 4.0
-"""Diameter of a spot over the standard deviation of its intensity (ISO 11146)."""
-
-MOST_MODES, DEPTH_MODES = 500, 12
-"""Modes of the section and of the depth."""
-
-CELLS = 4.0
-"""Cells of the section in the shortest wave."""
-
+SIGMAS = 4.0  # diameter of a spot over the standard deviation of its intensity (ISO 11146)
+MOST_MODES, DEPTH_MODES = 500, 12  # modes of the section and of the depth
+CELLS = 4.0  # cells of the section in the shortest wave
+# The column is stepped by about so long a time; waits from so long on are stepped by themselves; more than there ever are
 CHUNK_S, LONG_S, CHUNKS = 10.0, 1.0, 1_000_000
-"""The column is stepped by about so long a time; waits from so long on are stepped by themselves; more than there ever are."""
-
-MOST_PLACES = 900
-"""Places at which the temperature is read, about."""
-
-MOMENTS = 400
-"""Moments of the past in the sum for the temperature under a moving spot."""
-
-WITHIN_MM = 1e-6
-"""Rounding of a way within a region."""
+MOST_PLACES = 900  # places at which the temperature is read, about
+MOMENTS = 400  # moments of the past in the sum for the temperature under a moving spot
+WITHIN_MM = 1e-6  # rounding of a way within a region
 
 
 @dataclass(frozen=True, eq=False)
 class BeamWay:
-    """What the beam does, piece by piece (n,), straight, in order of time.
+    """Way of the beam, in straight pieces (n,), in order of time."""
 
-    `start`, `end`: (n, 2) mm; `time_s`, `power_w`: (n,) time of each, and the beam's power in it; 0 where it is off.
-    """
-
-    start: Floats
-    end: Floats
-    time_s: Floats
-    power_w: Floats
+    start: Floats  # (n, 2) mm
+    end: Floats  # (n, 2) mm
+    time_s: Floats  # (n,)
+    power_w: Floats  # (n,) 0 where the beam is off
 
     @property
     def energy_j(self) -> float:
@@ -68,8 +55,7 @@ class BeamWay:
         """Return the same way in pieces of at most a length."""
         length = np.hypot(*(self.end - self.start).T)
         count = np.where(self.power_w > 0.0, np.maximum(np.ceil(length / most_mm), 1.0), 1.0).astype(np.int64)
-        owner = np.repeat(np.arange(count.size), count)
-        number = np.arange(owner.size) - np.repeat(np.cumsum(count) - count, count)
+        owner, number = each_of(count)
         low, high = (number / count[owner])[:, None], ((number + 1) / count[owner])[:, None]
         way = (self.end - self.start)[owner]
         a = self.start[owner]
@@ -93,21 +79,18 @@ class SurfaceK:
 
 
 class SurfaceHeat:
-    """A body whose surface is scanned.
-
-    `column`: its mean, which grows warmer; `body`, `region`: outline of what the heat spreads in, and of what is scanned,
-    where temperatures are read; `depth_mm`: of the body, down to the table.
-    """
+    """A body whose surface is scanned."""
 
     def __init__(
         self, column: HeatColumn, body: BaseGeometry, region: BaseGeometry, depth_mm: float, config: Config
     ) -> None:
+        """Set up the heat of a body by its mean, which grows warmer, its outline, the region that is scanned, where temperatures are
+        read, and its depth down to the table."""
         self.column, self._config = column, config
         medium, spacing_mm = Medium.of(config), config.preheat.spacing_mm
         largest = (2.0 * math.pi / max(2.0 * spacing_mm, 0.5 * config.preheat.spot_mm)) ** 2
         plane = contour_modes(body, largest, MOST_MODES, CELLS)
-        loss = medium.radiation_w_mm2k / medium.conductivity_w_mmk
-        depth = depth_modes(depth_mm, DEPTH_MODES, config.process.base == "cooled", loss)
+        depth = depth_modes(depth_mm, DEPTH_MODES, config.process.base == "cooled", medium.loss_per_mm)
         self.model = HeatModel(plane, depth, medium, min(LARGEST_CELL_MM, depth_mm))
         flat = plane.integral()
         self._mean = np.asarray((flat / (flat @ flat))[:, None], np.float64)
@@ -120,8 +103,7 @@ class SurfaceHeat:
 
     def copy(self) -> SurfaceHeat:
         """Return the same body, to be simulated by itself."""
-        other = object.__new__(SurfaceHeat)
-        vars(other).update(vars(self))
+        other = copy(self)
         other.column, other.field = self.column.copy(), self.field.copy()
         return other
 
@@ -134,14 +116,12 @@ class SurfaceHeat:
         # A long wait is a time of its own: what is heated before it is not spread over it.
         waits = (way.power_w == 0.0) & (way.time_s > LONG_S)
         parts = np.cumsum(waits | np.concatenate([[False], waits[:-1]]))
-        chunk = parts * CHUNKS + np.floor(np.cumsum(np.where(waits, 0.0, way.time_s)) / CHUNK_S).astype(
-            np.int64
-        )
+        scanned_s = np.cumsum(np.where(waits, 0.0, way.time_s))
+        chunk = parts * CHUNKS + np.floor(scanned_s / CHUNK_S).astype(np.int64)
         for number in np.unique(chunk):
             rows = chunk == number
-            self.column.advance(
-                float(way.time_s[rows].sum()), float(way.power_w[rows] @ way.time_s[rows]) * taken
-            )
+            energy_j = float(way.power_w[rows] @ way.time_s[rows]) * taken
+            self.column.advance(float(way.time_s[rows].sum()), energy_j)
         fine = way.cut(self._piece_mm)
         shapes = (self.model.plane.at(0.5 * (fine.start + fine.end)).T - self._mean) * self._blur
         source = fine.power_w * taken / self.model.medium.heat_capacity_j_mm3k
@@ -154,25 +134,19 @@ class SurfaceHeat:
 
     def read(self) -> SurfaceK:
         """Read the temperatures of the scanned surface."""
-        away = self._at_places @ self.field.surface()
-        found = self.column.surface_k + away
-        low, high = int(np.argmin(found)), int(np.argmax(found))
-        return SurfaceK(
-            float(found.mean()), float(found[low]), self._place(low), float(found[high]), self._place(high)
-        )
-
-    def _place(self, n: int) -> tuple[float, float]:
-        x, y = self._places[n].tolist()
-        return round(x, 2), round(y, 2)
+        at_places_k = self.column.surface_k + self._at_places @ self.field.surface()
+        ends = int(np.argmin(at_places_k)), int(np.argmax(at_places_k))
+        (x0, y0), (x1, y1) = (self._places[n].tolist() for n in ends)
+        least_k, most_k = (float(at_places_k[n]) for n in ends)
+        least_at, most_at = (round(x0, 2), round(y0, 2)), (round(x1, 2), round(y1, 2))
+        return SurfaceK(float(at_places_k.mean()), least_k, least_at, most_k, most_at)
 
     def content_under_region(self) -> Floats:
         """Heat content of the cells of the column under what was scanned, J/mm^3."""
         edges, depth = self.column.edges_mm, self.model.depth
         below = np.maximum(edges[-1] - 0.5 * (edges[1:] + edges[:-1]), 0.0)
         away = self._at_places.mean(axis=0) @ self.field.state @ depth.at(np.minimum(below, depth.depth_mm)).T
-        tables = self.column.tables
-        assert tables is not None
-        return tables.heat_content(self.column.temperature_k + away)
+        return self.column.material.heat_content(self.column.temperature_k + away)
 
 
 def _places(region: BaseGeometry) -> Floats:
@@ -215,61 +189,19 @@ def spot_peak_k(power_w: float, speed_mm_s: float, config: Config) -> float:
 # -- region and lines ---------------------------------------------------------------------------------
 
 
-def plate_of(section: BaseGeometry, config: Config) -> BaseGeometry:
-    """Base plate of the settings; where they have none, the box around the lowest section and the margin."""
-    low, high = config.machine.base_plate_min_mm, config.machine.base_plate_max_mm
-    if low is not None and high is not None:
-        return shapely.box(*low, *high)
-    return _grown_box(section, config)
-
-
-def plate_region(section: BaseGeometry, config: Config) -> BaseGeometry:
-    """Region of the base plate that is scanned: around the lowest section, and half a spot within the plate."""
-    room_mm = 0.5 * config.preheat.spot_mm
-    plate = plate_of(section, config)
-    if config.machine.base_plate_min_mm is not None:
-        plate = eroded(plate, room_mm)
-    return _free(shapely.intersection(plate, _grown_box(section, config)), 0.0, config)
-
-
-def layer_region(section: BaseGeometry, top_mm: float, config: Config) -> BaseGeometry:
-    """Region of what stands that is scanned: half a spot within its section. It may be empty."""
-    return _free(eroded(section, 0.5 * config.preheat.spot_mm), top_mm, config)
-
-
-def _grown_box(section: BaseGeometry, config: Config) -> BaseGeometry:
-    x0, y0, x1, y1 = shapely.bounds(section)
-    margin_mm = config.preheat.margin_mm
-    box: BaseGeometry = shapely.box(x0 - margin_mm, y0 - margin_mm, x1 + margin_mm, y1 + margin_mm)
-    return box
-
-
-def _free(region: BaseGeometry, z_mm: float, config: Config) -> BaseGeometry:
-    """Region without clamps that stand over a height, and half a spot around them."""
-    for place in config.process.keep_out:
-        if place.z_mm[1] > z_mm:
-            around = shapely.buffer(shapely.Polygon(place.outline_mm), 0.5 * config.preheat.spot_mm)
-            region = shapely.difference(region, around)
-    return region
-
-
 def pass_lines(region: BaseGeometry, config: Config, number: int) -> tuple[Floats, Bools]:
-    """Lines of one pass, in order, back and forth.
+    """Lines (n, 4) of one pass, x, y of the start and of the end of each, in order, back and forth; and whether the beam stays on from
+    the line before (n,).
 
-    `number`: of the pass, from 0: every second one lies across (crossed), or half a spacing aside (lines).
+    Passes count from 0: every second one lies across (crossed), or half a spacing aside (lines).
 
-    Returns `lines`: (n, 4) x, y of the start and of the end of each; `joined`: (n,) whether the beam stays on from the line
-    before.
-
-    Examples
-    --------
     >>> lines, joined = pass_lines(shapely.box(0, 0, 60, 20), Config(), 0)
     >>> lines[:, 1].tolist(), joined.tolist()
     ([5.0, 15.0], [False, True])
     """
     settings = config.preheat
     across = settings.pattern == "crossed" and number % 2 == 1
-    turned = _swapped(region) if across else region
+    turned = shapely.transform(region, lambda points: points[:, ::-1]) if across else region
     aside = number // 2 % 2 if settings.pattern == "crossed" else number % 2
     lines = _rows(turned, settings.spacing_mm, 0.5 * settings.spacing_mm * aside)
     if across:
@@ -290,44 +222,58 @@ def _rows(region: BaseGeometry, spacing_mm: float, shift_mm: float) -> Floats:
     count = max(1, round((y1 - y0) / spacing_mm))
     step = (y1 - y0) / count
     rows = y0 + (np.arange(count) + 0.5) * step + shift_mm
-    found: list[Floats] = []
+    lines = [np.zeros((0, 4))]
     for k, y in enumerate(rows[rows < y1].tolist()):
         cut = shapely.intersection(region, shapely.LineString([(x0 - 1.0, y), (x1 + 1.0, y)]))
         # From left to right: where a border touches the row, pieces of it come in either direction.
-        ends = shapely.bounds(
-            [part for part in shapely.get_parts(cut) if part.length > LEAST_LINE_MM]
-        ).reshape(-1, 4)
+        pieces = [part for part in shapely.get_parts(cut) if part.length > LEAST_LINE_MM]
+        ends = shapely.bounds(pieces).reshape(-1, 4)
         ends = ends[np.argsort(ends[:, 0])]
-        found.append(ends if k % 2 == 0 else ends[::-1][:, [2, 3, 0, 1]])
-    return np.concatenate(found) if found else np.zeros((0, 4))
-
-
-def _swapped(region: BaseGeometry) -> BaseGeometry:
-    found: BaseGeometry = shapely.transform(region, lambda points: points[:, ::-1])
-    return found
+        lines.append(ends if k % 2 == 0 else ends[::-1][:, [2, 3, 0, 1]])
+    return np.concatenate(lines)
 
 
 @dataclass(frozen=True, eq=False)
 class Scanned:
-    """What is scanned before a layer: the body that takes the heat, the region, and Z of its surface over the plate."""
+    """Surface that is scanned before a layer."""
 
-    body: BaseGeometry
-    region: BaseGeometry
-    z_mm: float
+    body: BaseGeometry  # that takes the heat
+    region: BaseGeometry  # may be empty
+    z_mm: float  # Z of the surface over the plate
 
 
 def scanned(
     sections: Sequence[BaseGeometry], k: int, z_mm: float, config: Config, under: BaseGeometry | None = None
 ) -> Scanned:
-    """Return what is scanned before layer `k`, whose bottom lies at `z_mm`; `sections` (L,) are those of the layers.
+    """Surface that is scanned before layer `k`, whose bottom lies at `z_mm`; `sections` (L,) are those of the layers.
 
-    `under` is the section of what the lowest layer lies on; None: the base plate.
+    It is half a spot within the section below, or on the base plate around the lowest section; the plate without one in the settings
+    is the box around that section and the margin. `under` is the section of what the lowest layer lies on; None: the base plate.
     """
-    if k == 0 and under is not None:
-        return Scanned(under, layer_region(under, z_mm, config), z_mm)
-    if k == 0:
-        return Scanned(plate_of(sections[0], config), plate_region(sections[0], config), 0.0)
-    return Scanned(sections[k - 1], layer_region(sections[k - 1], z_mm, config), z_mm)
+    half_spot_mm, machine = 0.5 * config.preheat.spot_mm, config.machine
+    body = under if k == 0 else sections[k - 1]
+    if body is not None:
+        return Scanned(body, _free(eroded(body, half_spot_mm), z_mm, config), z_mm)
+    body = within = box = _grown_box(sections[0], config)
+    if machine.base_plate_min_mm is not None and machine.base_plate_max_mm is not None:
+        body = shapely.box(*machine.base_plate_min_mm, *machine.base_plate_max_mm)
+        within = eroded(body, half_spot_mm)
+    return Scanned(body, _free(shapely.intersection(within, box), 0.0, config), 0.0)
+
+
+def _grown_box(section: BaseGeometry, config: Config) -> BaseGeometry:
+    margin_mm = np.array([-1.0, -1.0, 1.0, 1.0]) * config.preheat.margin_mm
+    box: BaseGeometry = shapely.box(*(shapely.bounds(section) + margin_mm))
+    return box
+
+
+def _free(region: BaseGeometry, z_mm: float, config: Config) -> BaseGeometry:
+    """Region without clamps that stand over a height, and half a spot around them."""
+    for place in config.process.keep_out:
+        if place.z_mm[1] > z_mm:
+            around = shapely.buffer(shapely.Polygon(place.outline_mm), 0.5 * config.preheat.spot_mm)
+            region = shapely.difference(region, around)
+    return region
 
 
 def asked_for(k: int, config: Config) -> bool:
@@ -344,20 +290,22 @@ def preheated(
     config: Config,
     under: BaseGeometry | None = None,
 ) -> tuple[PartHeat, int]:
-    """Preheat what layer `k` lies on, if the settings ask for it; the heat then, and the passes.
-
-    `z_mm`: Z over the plate of the bottom of the layer; `under`: section of what the lowest layer lies on; None: the base
-    plate.
-    """
+    """Preheat what layer `k` lies on, if the settings ask for it: the heat then, and the passes; parameters as of :func:`scanned`."""
     if not asked_for(k, config) or sections[k].area <= 0.0:
         return part, 0
     on, bare = scanned(sections, k, z_mm, config, under), k == 0 and under is None
-    if on.region.is_empty or not (bare or is_cold(part.column, config)):
+    if on.region.is_empty:
         return part, 0
+    if not bare:
+        # Colder than the target once the surface has had as long to even out as after a scan.
+        rested = part.column.copy()
+        rested.advance(max(config.preheat.soak_s, LEAST_REST_S))
+        if not rested.surface_k < config.preheat.target_k:
+            return part, 0
     column = bare_plate(on.body, config) if bare else part.column.copy()
     depth_mm = config.process.base_plate_mm + on.z_mm
-    body = SurfaceHeat(column, on.body, on.region, depth_mm, config)
-    heat, passes, time_s = _simulated(body, on.region, config)
+    surface = SurfaceHeat(column, on.body, on.region, depth_mm, config)
+    heat, passes, time_s = _simulated(surface, on.region, config)
     after = part.copy()
     if bare:
         after.column = HeatColumn(config)
@@ -366,13 +314,6 @@ def preheated(
         after.column = heat.column
         after.field.age(time_s)
     return after, passes
-
-
-def is_cold(column: HeatColumn, config: Config) -> bool:
-    """Whether what stands is colder than the target once its surface has had as long to even out as after a scan."""
-    rested = column.copy()
-    rested.advance(max(config.preheat.soak_s, LEAST_REST_S))
-    return rested.surface_k < config.preheat.target_k
 
 
 def _simulated(heat: SurfaceHeat, region: BaseGeometry, config: Config) -> tuple[SurfaceHeat, int, float]:
@@ -388,10 +329,8 @@ def _simulated(heat: SurfaceHeat, region: BaseGeometry, config: Config) -> tuple
             continue
         soaked = heat.copy()
         soaked.rest(settings.soak_s)
-        if (
-            n >= (settings.passes or settings.most_passes)
-            or soaked.read().mean_k >= settings.target_k + AIM_K
-        ):
+        enough = n >= (settings.passes or settings.most_passes)
+        if enough or soaked.read().mean_k >= settings.target_k + AIM_K:
             return soaked, n, time_s + settings.soak_s
 
 
@@ -399,22 +338,11 @@ def pass_way(lines: Floats, joined: Bools, config: Config, here: Floats | None =
     """Way of the beam in a pass: its lines, what joins them under the beam, and travel between the others, and from `here`."""
     settings = config.preheat
     full_w = settings.current_ma * config.process.voltage_kv
-    rows: list[tuple[Floats, Floats, float, float]] = []
-    if here is not None and len(lines):
-        rows.append(
-            (here, lines[0, :2], float(np.hypot(*(lines[0, :2] - here))) / config.machine.rapid_mm_s, 0.0)
-        )
-    for n, line in enumerate(lines):
-        if n:
-            before = lines[n - 1]
-            length = float(np.hypot(*(line[:2] - before[2:])))
-            speed, power_w = (settings.speed_mm_s, full_w) if joined[n] else (config.machine.rapid_mm_s, 0.0)
-            rows.append((before[2:], line[:2], length / speed, power_w))
-        length = float(np.hypot(*(line[2:] - line[:2])))
-        rows.append((line[:2], line[2:], length / settings.speed_mm_s, full_w))
-    return BeamWay(
-        np.array([row[0] for row in rows], np.float64).reshape(-1, 2),
-        np.array([row[1] for row in rows], np.float64).reshape(-1, 2),
-        np.array([row[2] for row in rows], np.float64),
-        np.array([row[3] for row in rows], np.float64),
-    )
+    # Ends of all pieces in turn: of the way to each line, and of the line.
+    ends = lines.reshape(-1, 2)
+    start, end = np.vstack([ends[:1] if here is None else here[None], ends[:-1]])[: len(ends)], ends
+    on = np.ones(len(ends), np.bool_)
+    on[::2] = joined
+    speed_mm_s = np.where(on, settings.speed_mm_s, config.machine.rapid_mm_s)
+    way = BeamWay(start, end, np.hypot(*(end - start).T) / speed_mm_s, np.where(on, full_w, 0.0))
+    return way if here is not None else BeamWay(way.start[1:], way.end[1:], way.time_s[1:], way.power_w[1:])

@@ -14,18 +14,14 @@ from ebamcheck.layers.stack import Layers
 from ebamcheck.nc.motions import ARC, RAPID, STRAIGHT
 from ebamcheck.program import NCProgram
 from ebamcheck.settings.config import Config
-from ebamcheck.settings.machine import KinematicsSettings, MachineSettings
 from ebamcheck.threads import block_edges, run_in_order
 
-# Events at which the axes stand still: the control waits for the switch.
-SWITCHES = ("beam_on", "beam_off", "wire_start", "wire_stop")
 DEGENERATE = 1e-9  # Share of a motion's length under which a derivative has no direction
-INWARDS = 1e-3  # Parameter, from the end, at which a curve without a direction at its end is asked for it
 
 
 @dataclass(frozen=True, eq=False)
 class DrivenPath:
-    """Motions (B,) of positive length in their order, with what the feed profile needs of each."""
+    """Motions (B,) of positive length in their order, as the feed profile needs them."""
 
     row: Ints  # row of the program, or number of the segment of a polyline
     run: Ints  # number of the unbroken run; the axes stand still between runs
@@ -60,7 +56,8 @@ class DrivenPath:
         at, rows = t[curved], rows[curved]
         found = self.derivatives(rows, at)[0]
         flat = np.hypot(*found) <= DEGENERATE * self.length_mm[rows]
-        found[:, flat] = self.derivatives(rows[flat], np.clip(at[flat], INWARDS, 1.0 - INWARDS))[0]
+        # A curve without a direction at its end has one a little before.
+        found[:, flat] = self.derivatives(rows[flat], np.clip(at[flat], 1e-3, 1.0 - 1e-3))[0]
         result[curved] = np.column_stack([*found, np.zeros(rows.size)])
         size = np.sqrt((result * result).sum(axis=1))
         return np.asarray(result / np.where(size > 0.0, size, 1.0)[:, None])
@@ -91,7 +88,8 @@ def program_path(nc: NCProgram, config: Config) -> DrivenPath:
     """
     moved = np.isfinite(nc.start).all(axis=1) & (nc.lengths > 0.0)
     stopped = np.zeros(len(nc) + 1, np.bool_)
-    stopped[nc.events.row[nc.events.named(*SWITCHES)]] = True
+    # The control waits for the switch.
+    stopped[nc.events.row[nc.events.named("beam_on", "beam_off", "wire_start", "wire_stop")]] = True
     rapid = nc.kind == RAPID
     stopped[:-1] |= rapid | np.append(False, rapid[:-1]) | (np.diff(nc.beam, prepend=nc.beam[:1]) != 0)
     rows = np.flatnonzero(moved)
@@ -102,7 +100,6 @@ def program_path(nc: NCProgram, config: Config) -> DrivenPath:
     arc, coefficients = nc.kind[rows] == ARC, np.nan_to_num(nc.coefficients[rows], nan=0.0)
     straight = (nc.kind[rows] == STRAIGHT) | rapid[rows]
     coefficients[straight] = _line_coefficients(nc.start[rows[straight], :2], nc.end[rows[straight], :2])
-    centre = np.where(arc[:, None], nc.arc[rows, :2], np.nan)
     return DrivenPath(
         row=rows,
         run=np.cumsum(stopped[:-1], dtype=np.int64)[rows],
@@ -112,7 +109,7 @@ def program_path(nc: NCProgram, config: Config) -> DrivenPath:
         start=nc.start[rows],
         end=nc.end[rows],
         coefficients=coefficients,
-        centre=centre,
+        centre=np.where(arc[:, None], nc.arc[rows, :2], np.nan),
         sweep_rad=np.where(arc, nc.arc[rows, 2], np.nan),
         feed_mm_s=feed,
         length_mm=nc.lengths[rows],
@@ -148,21 +145,17 @@ def polyline_path(layers: Layers, feed_mm_s: float) -> DrivenPath:
 
 
 def _line_coefficients(start: Floats, end: Floats) -> Floats:
-    result = np.zeros((len(start), 2, 4))
-    result[:, :, 0], result[:, :, 1] = start, end - start
-    return result
+    return np.stack([start, end - start, np.zeros_like(start), np.zeros_like(start)], axis=2)
 
 
 # -- speeds ----------------------------------------------------------------------------------------
 
-PLACES = 5  # Places of a cell, its ends included, at which its curvature is taken
-MOST_CELLS = 64  # Cells of one motion
-AT_ONCE = 8192  # Cells that are looked at together: their columns stay in the cache of a processor
-CRAWL_SHARE = 1e-3  # Least speed along a curve over its feed: a cusp has no curvature, and the axes go through it somehow
-# Words by which the control rounds corners (SINUMERIK, continuous-path mode).
+# Words by which the control rounds corners (SINUMERIK, continuous-path mode), and by which it stops in every one
 SMOOTHING_WORDS = ("G641", "G642", "G643", "G644", "G645")
-EXACT_STOP_WORDS = ("G60", "G9")  # Words by which it stops in every corner
-STRAIGHT_RADIUS_MM = 1e9  # A corner that may be rounded with a larger radius is none
+EXACT_STOP_WORDS = ("G60", "G9")
+# Half a break of direction that is none: the last decimals of a program turn a short block by this
+SMOOTH_RAD = 1e-5
+STRAIGHT_RADIUS_MM = 1e9  # a corner that may be rounded with a larger radius is none
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,8 +174,13 @@ class Cells:
 
 def cells_of(path: DrivenPath, config: Config) -> Cells:
     """Divide a path, and find the speed that its curvature, its corners and the axes allow."""
-    axes = config.kinematics
-    parts = np.where(path.is_curved, _parts(path, axes), 1)
+    axes, feed = config.kinematics, path.feed_mm_s
+    # Cells of a curved motion are half as long as a ramp from rest to the feed.
+    least_a, j = min(axes.axis_acceleration_mm_s2[:2]), min(axes.axis_jerk_mm_s3[:2])
+    slow_s, fast_s = 2.0 * np.sqrt(feed / j), feed / least_a + least_a / j
+    ramp_s = np.where(feed * j < least_a * least_a, slow_s, fast_s)
+    parts = np.clip(np.ceil(path.length_mm / (0.5 * feed * ramp_s)), 1, 64).astype(np.int64)
+    parts = np.where(path.is_curved, parts, 1)
     motion = np.repeat(np.arange(len(path)), parts)
     starts = np.concatenate([[0], np.cumsum(parts)]).astype(np.int64)
     index = np.arange(motion.size) - starts[:-1][motion]
@@ -190,7 +188,8 @@ def cells_of(path: DrivenPath, config: Config) -> Cells:
     curvature, length = np.zeros(motion.size), path.length_mm[motion]
     direction = np.abs(path.tangents(motion, t0))
     bent = np.flatnonzero(path.is_curved[motion])
-    edges = block_edges(bent.size, largest=AT_ONCE)
+    # The columns of so many cells stay in the cache of a processor.
+    edges = block_edges(bent.size, largest=8192)
     rows, begin, end = motion[bent], t0[bent], t1[bent]
     bends = run_in_order(lambda a, b: _bends(path, rows[a:b], begin[a:b], end[a:b]), edges)
     curvature[bent], *axes_of, length[bent] = np.hstack(list(bends))
@@ -200,14 +199,18 @@ def cells_of(path: DrivenPath, config: Config) -> Cells:
     length *= (path.length_mm / np.where(whole > 0.0, whole, 1.0))[motion]
     feed = path.feed_mm_s[motion]
     most = np.minimum(feed, _along(direction, np.array(axes.axis_speed_mm_s)))
-    most = np.minimum(most, np.maximum(_round(curvature, axes), CRAWL_SHARE * feed))
+    # Speed around a curvature: v^2 k within its share of the acceleration, v^3 k^2 within the jerk. A cusp has no curvature, and the
+    # axes go through it somehow.
+    a = axes.curvature_share * least_a
+    with np.errstate(divide="ignore"):
+        around = np.minimum(np.sqrt(a / curvature), np.cbrt(j / curvature**2))
+    most = np.minimum(most, np.maximum(around, 1e-3 * feed))
     acceleration = _along(direction, np.array(axes.axis_acceleration_mm_s2))
     jerk = _along(direction, np.array(axes.axis_jerk_mm_s3))
     curved = path.is_curved[motion]
     # Across any direction of travel in X and Y, the least of both axes holds; what curvature takes is not left.
     rest = math.sqrt(1.0 - axes.curvature_share**2)
-    acceleration[curved] = rest * min(axes.axis_acceleration_mm_s2[:2])
-    jerk[curved] = rest * min(axes.axis_jerk_mm_s3[:2])
+    acceleration[curved], jerk[curved] = rest * least_a, rest * j
     entry = np.full(motion.size, np.inf)
     entry[starts[:-1]] = corner_speeds(path, config)
     first = np.zeros(motion.size, np.bool_)
@@ -216,26 +219,10 @@ def cells_of(path: DrivenPath, config: Config) -> Cells:
     return Cells(motion, length, most, acceleration, jerk, entry, first)
 
 
-def _parts(path: DrivenPath, axes: KinematicsSettings) -> Ints:
-    """Cells of each motion (B,) if it is curved."""
-    a, j = min(axes.axis_acceleration_mm_s2[:2]), min(axes.axis_jerk_mm_s3[:2])
-    feed = path.feed_mm_s
-    ramp_s = np.where(feed * j < a * a, 2.0 * np.sqrt(feed / j), feed / a + a / j)
-    return np.clip(np.ceil(path.length_mm / (0.5 * feed * ramp_s)), 1, MOST_CELLS).astype(np.int64)
-
-
 def _along(direction: Floats, limits: Floats) -> Floats:
     """Limit along a direction (n, 3) whose axes have limits (3,): the axis that gets there first."""
     with np.errstate(divide="ignore"):
         return np.asarray((limits / np.abs(direction)).min(axis=1))
-
-
-def _round(curvature: Floats, axes: KinematicsSettings) -> Floats:
-    """Speed around a curvature: v^2 k within its share of the acceleration, v^3 k^2 within the jerk."""
-    a = axes.curvature_share * min(axes.axis_acceleration_mm_s2[:2])
-    j = min(axes.axis_jerk_mm_s3[:2])
-    with np.errstate(divide="ignore"):
-        return np.asarray(np.minimum(np.sqrt(a / curvature), np.cbrt(j / curvature**2)))
 
 
 def _curvature(first: Floats, second: Floats) -> Floats:
@@ -249,7 +236,7 @@ def _curvature(first: Floats, second: Floats) -> Floats:
 def _bends(path: DrivenPath, rows: Ints, t0: Floats, t1: Floats) -> Floats:
     """Of stretches (n,) of curves, by columns (5, n): greatest curvature, 1/mm, greatest share of each axis in the direction,
     length, mm."""
-    t = np.linspace(t0, t1, PLACES)
+    t = np.linspace(t0, t1, 5)
     first, second = path.derivatives(rows, t)
     speed = np.hypot(*first)
     share = np.divide(np.abs(first), speed, out=np.zeros_like(first), where=speed > 0.0)
@@ -261,9 +248,6 @@ def _bends(path: DrivenPath, rows: Ints, t0: Floats, t1: Floats) -> Floats:
     length = 0.5 * (t1 - t0) * (weights @ np.hypot(*path.derivatives(rows, at)[0]))
     most = np.abs(_curvature(first, second)).max(axis=0)
     return np.stack([most, *share.max(axis=1), np.zeros(rows.size), length])
-
-
-# -- corners -----------------------------------------------------------------------------------------
 
 
 def corner_speeds(path: DrivenPath, config: Config) -> Floats:
@@ -285,46 +269,25 @@ def corner_speeds(path: DrivenPath, config: Config) -> Floats:
     if any(word in EXACT_STOP_WORDS for word in machine.smoothing):
         result[1:] = np.where(half > SMOOTH_RAD, 0.0, np.inf)
         return result
-    rounded = _rounded_corner(path, half, machine, axes)
+    smooths = any(word in SMOOTHING_WORDS for word in machine.smoothing)
+    tolerance_mm = machine.smoothing_tolerance_mm if smooths else 0.0
+    a, j = axes.curvature_share * min(axes.axis_acceleration_mm_s2[:2]), min(axes.axis_jerk_mm_s3[:2])
+    room = 0.5 * np.minimum(path.length_mm[:-1], path.length_mm[1:])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        radius = tolerance_mm * np.cos(half) / (2.0 * np.sin(0.5 * half) ** 2)
+        radius = np.minimum(np.minimum(radius, room / np.tan(half)), STRAIGHT_RADIUS_MM)
+        radius = np.nan_to_num(radius, nan=0.0)
+    # The acceleration v^2 / r rises over half the arc, r p / 2, and falls over the other half.
+    rounded = np.minimum(np.sqrt(a * radius), np.cbrt(j * radius**2 * half))
     sides = (before, np.ones(before.size)), (after, np.zeros(after.size))
     bends = [np.where(path.is_curved[at], _curvature(*path.derivatives(at, t)), 0.0) for at, t in sides]
     # A cusp slows its own cell down.
     known = np.isfinite(bends[0]) & np.isfinite(bends[1])
     bend = np.abs(np.where(known, bends[1], 0.0) - np.where(known, bends[0], 0.0))
-    eased = _eased_curvature(bend, machine, axes)
+    # At a jump of curvature the acceleration is within its share, eased in within the jerk.
+    with np.errstate(divide="ignore"):
+        eased = np.sqrt(a / bend)
+        if tolerance_mm > 0.0:
+            eased = np.minimum(eased, np.cbrt(j * np.sqrt(24.0 * tolerance_mm / bend) / bend))
     result[1:] = np.minimum(np.where(half > SMOOTH_RAD, np.maximum(stepped, rounded), np.inf), eased)
     return result
-
-
-# Half a break of direction that is none: the last decimals of a program turn a short block by this.
-SMOOTH_RAD = 1e-5
-
-
-def _tolerance_mm(machine: MachineSettings) -> float:
-    smooths = any(word in SMOOTHING_WORDS for word in machine.smoothing)
-    return machine.smoothing_tolerance_mm if smooths else 0.0
-
-
-def _rounded_corner(
-    path: DrivenPath, half: Floats, machine: MachineSettings, axes: KinematicsSettings
-) -> Floats:
-    a = axes.curvature_share * min(axes.axis_acceleration_mm_s2[:2])
-    j = min(axes.axis_jerk_mm_s3[:2])
-    room = 0.5 * np.minimum(path.length_mm[:-1], path.length_mm[1:])
-    with np.errstate(divide="ignore", invalid="ignore"):
-        radius = _tolerance_mm(machine) * np.cos(half) / (2.0 * np.sin(0.5 * half) ** 2)
-        radius = np.minimum(np.minimum(radius, room / np.tan(half)), STRAIGHT_RADIUS_MM)
-        radius = np.nan_to_num(radius, nan=0.0)
-    # The acceleration v^2 / r rises over half the arc, r p / 2, and falls over the other half.
-    return np.asarray(np.minimum(np.sqrt(a * radius), np.cbrt(j * radius**2 * half)))
-
-
-def _eased_curvature(bend: Floats, machine: MachineSettings, axes: KinematicsSettings) -> Floats:
-    """Speed at a jump of curvature `bend` (n,): the acceleration within its share, eased in within the jerk."""
-    j = min(axes.axis_jerk_mm_s3[:2])
-    tolerance = _tolerance_mm(machine)
-    with np.errstate(divide="ignore"):
-        stepped = np.sqrt(axes.curvature_share * min(axes.axis_acceleration_mm_s2[:2]) / bend)
-        if tolerance == 0.0:
-            return np.asarray(stepped)
-        return np.asarray(np.minimum(stepped, np.cbrt(j * np.sqrt(24.0 * tolerance / bend) / bend)))

@@ -47,14 +47,28 @@ class FeedProfile:
         feed = path.feed_mm_s[cells.motion]
         speeds, limits = (self.entry, self.top, self.exit), (cells.acceleration_mm_s2, cells.jerk_mm_s3)
         columns = np.column_stack([cells.length_mm, *speeds, *limits])
-        found = slow_stretches(columns, self.dip_share * feed, cells.first)
-        table: pd.DataFrame = dip_table(found, feed, self.bead_mm2)
-        motion = cells.motion[table["cell"].to_numpy()]
-        table.insert(1, "layer", path.layer[motion])
-        table.insert(2, "ring", path.ring[motion])
-        table.insert(3, "where", [self.places[m] if self.places else "" for m in motion])
-        kept: pd.DataFrame = table[path.deposit[motion]].drop(columns="cell").reset_index(drop=True)
-        return kept
+        sort, cell, time, length, least = slow_stretches(columns, self.dip_share * feed, cells.first)
+        motion, feed = cells.motion[cell], feed[cell]
+        with np.errstate(divide="ignore"):
+            growth = feed / least
+        # The wire runs at its own speed, so that a stretch of length l that takes the time t gets A (v_set t - l) of metal too much, and
+        # at the speed v the bead has v_set / v of its section.
+        table = pd.DataFrame(
+            {
+                "sort": np.array(["start", "dip", "end"])[sort],
+                "layer": path.layer[motion],
+                "ring": path.ring[motion],
+                "where": [self.places[m] if self.places else "" for m in motion],
+                "time_s": time,
+                "length_mm": length,
+                "least_mm_s": least,
+                "feed_mm_s": feed,
+                "excess_mm3": np.maximum(self.bead_mm2 * (feed * time - length), 0.0),
+                "metal_per_mm": growth,
+            }
+        )
+        deposits: pd.DataFrame = table[path.deposit[motion]].reset_index(drop=True)
+        return deposits
 
     @property
     def dips(self) -> pd.DataFrame:
@@ -69,18 +83,12 @@ class FeedProfile:
         inside = layer >= 0
         deposit = self.path.deposit[motion] & inside
 
-        def total(which: np.typing.NDArray[np.bool_], values: Floats) -> Floats:
+        def total(which: Bools, values: Floats) -> Floats:
             return np.bincount(layer[which], values[which], minlength=count).astype(np.float64)
 
         constant = self.cells.length_mm / self.path.feed_mm_s[motion]
-        table = pd.DataFrame(
-            {
-                "layer": np.arange(count),
-                "time_s": total(inside, self.time_s),
-                "deposit_s": total(deposit, self.time_s),
-                "constant_feed_s": total(deposit, constant),
-            }
-        )
+        table = pd.DataFrame({"layer": np.arange(count), "time_s": total(inside, self.time_s)})
+        table["deposit_s"], table["constant_feed_s"] = total(deposit, self.time_s), total(deposit, constant)
         dips, ends = self.dips, self.slow[self.slow["sort"] != "dip"]
         table["dips"] = np.bincount(dips["layer"], minlength=count)
         for name, rows in (("dip", dips), ("track_end", ends)):
@@ -110,29 +118,31 @@ def polyline_profile(layers: Layers, config: Config) -> FeedProfile:
 def side_by_side(nc: NCProgram, contours: Layers, config: Config) -> pd.DataFrame:
     """Contour beads of a program beside polylines through the points of `contours`, one row each; ends of tracks are left out of
     `least_share`."""
-    paths = {"program": feed_profile(nc, config), "polyline": polyline_profile(contours, config)}
-    return pd.DataFrame([_row(name, profile) for name, profile in paths.items()]).set_index("path")
-
-
-def _row(name: str, profile: FeedProfile) -> dict[str, object]:
-    path, cells = profile.path, profile.cells
-    motions = path.deposit & (path.ring >= 0)
-    mine = motions[cells.motion]
-    dips = profile.dips[profile.dips["ring"] >= 0]
-    length = float(cells.length_mm[mine].sum())
-    excess = float(dips["excess_mm3"].sum())
-    return {
-        "path": name,
-        "blocks": int(motions.sum()),
-        "length_mm": length,
-        "time_s": float(profile.time_s[mine].sum()),
-        "constant_feed_s": float((cells.length_mm / path.feed_mm_s[cells.motion])[mine].sum()),
-        "dips": len(dips),
-        "dip_s": float(dips["time_s"].sum()),
-        "least_share": float((dips["least_mm_s"] / dips["feed_mm_s"]).min()) if len(dips) else 1.0,
-        "excess_mm3": excess,
-        "excess_mm3_per_m": 1000.0 * excess / length if length else 0.0,
-    }
+    rows: list[dict[str, object]] = []
+    for name, profile in (
+        ("program", feed_profile(nc, config)),
+        ("polyline", polyline_profile(contours, config)),
+    ):
+        path, cells = profile.path, profile.cells
+        motions = path.deposit & (path.ring >= 0)
+        along = motions[cells.motion]
+        dips = profile.dips[profile.dips["ring"] >= 0]
+        length, excess = float(cells.length_mm[along].sum()), float(dips["excess_mm3"].sum())
+        rows.append(
+            {
+                "path": name,
+                "blocks": int(motions.sum()),
+                "length_mm": length,
+                "time_s": float(profile.time_s[along].sum()),
+                "constant_feed_s": float((cells.length_mm / path.feed_mm_s[cells.motion])[along].sum()),
+                "dips": len(dips),
+                "dip_s": float(dips["time_s"].sum()),
+                "least_share": float((dips["least_mm_s"] / dips["feed_mm_s"]).min()) if len(dips) else 1.0,
+                "excess_mm3": excess,
+                "excess_mm3_per_m": 1000.0 * excess / length if length else 0.0,
+            }
+        )
+    return pd.DataFrame(rows).set_index("path")
 
 
 def _profile(path: DrivenPath, config: Config, places: tuple[str, ...]) -> FeedProfile:
@@ -200,36 +210,9 @@ def slow_stretches(cells: Floats, slow: Floats, first: Bools) -> tuple[Ints, Int
     return sort[:found], where[:found], time[:found], length[:found], least[:found]
 
 
-def dip_table(
-    stretches: tuple[Ints, Ints, Floats, Floats, Floats], feed_mm_s: Floats, bead_mm2: float
-) -> pd.DataFrame:
-    """Slow stretches as a table; `feed_mm_s` (C,) is that of each cell, `bead_mm2` the bead's section at it.
-
-    The wire runs at its own speed, so that a stretch of length l that takes the time t gets A (v_set t - l) of metal too much, and
-    at the speed v the bead has v_set / v of its section."""
-    sort, cell, time, length, least = stretches
-    feed = feed_mm_s[cell]
-    with np.errstate(divide="ignore"):
-        growth = feed / least
-    return pd.DataFrame(
-        {
-            "sort": np.array(["start", "dip", "end"])[sort],
-            "cell": cell,
-            "time_s": time,
-            "length_mm": length,
-            "least_mm_s": least,
-            "feed_mm_s": feed,
-            "excess_mm3": np.maximum(bead_mm2 * (feed * time - length), 0.0),
-            "metal_per_mm": growth,
-        }
-    )
-
-
 # -- Changes of speed with limited acceleration and jerk, in closed form --------------------------------------
 # A ramp begins and ends without acceleration. Its jerk is that of the axes at once, so that a change of speed d takes 2 sqrt(d / j), or
 # d / a + a / j where it reaches the acceleration a (d >= a^2 / j); by its symmetry it covers the mean of both speeds times that time.
-
-HALVINGS = 60  # Bisections of a speed: beyond the precision of its bits
 
 
 @kernel
@@ -249,7 +232,8 @@ def fastest(
     low, high, speed = max(first, last) if falls else first, most, most
     if low >= high:
         return low if falls else most
-    for turn in range(HALVINGS + 1):
+    # By bisections, beyond the precision of its bits.
+    for turn in range(61):
         way = 0.5 * (first + speed) * ramp_time(first, speed, acceleration, jerk)
         if falls:
             way += 0.5 * (speed + last) * ramp_time(speed, last, acceleration, jerk)
@@ -287,17 +271,13 @@ def time_to(first: float, last: float, speed: float, acceleration: float, jerk: 
     return time, first * time + path
 
 
-# -- Look-ahead: speeds at the borders of cells from which every later one can be reached, and the peaks
-# between.
-
-
 @kernel
 def look_ahead(
     length: Floats, most: Floats, acceleration: Floats, jerk: Floats, entry: Floats, first: Bools
 ) -> tuple[Floats, Floats, Floats, Floats]:
     """Entry, peak and exit speed of each cell, and its time, all (C,): the greatest speeds that keep every limit and ramp without
-    acceleration at the borders of cells. A pass backwards lowers each to what can still be braked from, a pass forwards to what can
-    be reached."""
+    acceleration at the borders of cells. A pass backwards lowers each to one that can still be braked from, a pass forwards to one
+    that can be reached."""
     count = length.size
     begin, end, top, time = np.zeros(count), np.zeros(count), np.zeros(count), np.zeros(count)
     for c in range(count):

@@ -36,7 +36,7 @@ class Footprints:
 def footprints(
     places: Floats, length_mm: Floats, bead: Ints, beads: int, radius: float, shape: tuple[int, int]
 ) -> Footprints:
-    """Gather the cells in which the metal of beads lies; metal beside the grid of a shape is not counted.
+    """Cells in which the metal of beads lies; metal beside the grid of a shape is not counted.
 
     `places` (n, 2) lie along the beads, in cells from the lower left corner of the grid, sorted by bead; each stands for a length
     (n,) of its bead (n,). The radius is half the width of the pool, in cells."""
@@ -126,11 +126,6 @@ def pooled(
     return np.asarray(laid, np.float64)
 
 
-# Factors by which all widths of a layer are changed at most; walls a little wider than a bead get under three quarters of their metal else
-LEAST_RIM, MOST_RIM = 1.0 / 1.15, 1.4
-ITERATIONS = 10  # steps of the iteration: the sum is right after the first, and a layer hardly gets flatter after so many
-
-
 def balanced_widths(
     found: Footprints,
     share: Floats,
@@ -147,15 +142,18 @@ def balanced_widths(
     counts."""
     columns = found.starts, found.cell, found.length_mm
     width = np.array(width_mm, np.float64)
-    iterate(columns, share.ravel(), weight.ravel(), cell_mm2, width, limits_mm, ITERATIONS)
+    # The sum is right after the first of ten steps, and a layer hardly gets flatter after so many.
+    iterate(columns, share.ravel(), weight.ravel(), cell_mm2, width, limits_mm, 10)
     # Cells that count less, or that pools only touch, miss some of a layer: all beads lay it together, but for those at a limit,
     # whose places ask for less, or for more, than they get.
     free = (width > limits_mm[0]) & (width < limits_mm[1])
-    both = width, np.where(free, width, 0.0)
-    laid, by_free = (found.laid(some, share.size, cell_mm2).sum() for some in both)
+    laid, by_free = (
+        found.laid(some, share.size, cell_mm2).sum() for some in (width, np.where(free, width, 0.0))
+    )
     if by_free <= 0.0:
         return width
-    missing = min(max(1.0 + (share.sum() - laid) / by_free, LEAST_RIM), MOST_RIM)
+    # Walls a little wider than a bead would get under three quarters of their metal.
+    missing = min(max(1.0 + (share.sum() - laid) / by_free, 1.0 / 1.15), 1.4)
     return np.where(free, np.clip(width * missing, *limits_mm), width)
 
 

@@ -14,13 +14,11 @@ from scipy import ndimage
 from ebamcheck.kernels import Bools, Floats
 from ebamcheck.metal.target import REACHED, Target, border_distance, cell_mm, moved_to_neighbours
 
-LEVELLED_BEADS = 0.5  # standard deviation, over the bead width, of the Gaussian that levels: that of a disc of one bead width's radius
-SPOT_BEADS = 0.25  # the same of the spot over which the surface is read: that of a disc as wide as the bead
+# Standard deviation, over the bead width, of the spot over which the surface is read: that of a disc as wide as the bead
+SPOT_BEADS = 0.25
 HALF = 0.5  # share of a cell in the section from which on it counts as inside
 FILM = 0.25  # height of metal over that of the layer from which on a bead has reached a place: its flank is thinner
 MENDED = 0.3  # share of what lies too high or too low under a layer that is mended by it, where that is worked out and not measured
-# Distance from its line, over half its width, up to which a bead is at least half as high as in its middle
-DOME = 0.5**0.5
 
 
 def bead_centres(inside: Bools, bead_cells: float) -> Bools:
@@ -34,8 +32,7 @@ def bead_centres(inside: Bools, bead_cells: float) -> Bools:
 
 
 def reachable(inside: Bools, bead_cells: float) -> Bools:
-    """Cells of a section that some bead inside of it builds: all but what only flanks reach, and walls under a bead; parameters as
-    of :func:`bead_centres`.
+    """Cells of a section that some bead inside of it builds: all but those that only flanks reach, and walls under a bead.
 
     >>> reachable(np.pad(np.ones((8, 9), bool), 1), 6.0)[1:-1, 1:-1].sum(axis=1)
     array([5, 7, 9, 9, 9, 9, 7, 5])
@@ -43,8 +40,8 @@ def reachable(inside: Bools, bead_cells: float) -> Bools:
     centres = bead_centres(inside, bead_cells)
     if not centres.any():
         return centres
-    away = border_distance(~centres)
-    return np.asarray(inside & (away <= DOME * 0.5 * bead_cells), np.bool_)
+    # Up to so far from its line, a bead is at least half as high as in its middle.
+    return np.asarray(inside & (border_distance(~centres) <= 0.5**0.5 * 0.5 * bead_cells), np.bool_)
 
 
 class Surface:
@@ -94,11 +91,8 @@ class Surface:
 
     def measured(self) -> Surface:
         """Return the surface of a part whose height was measured: uneven as it was, and on average at that height."""
-        made = self.copy()
-        if self.mapped:
-            return made
-        metal = self._share.sum()
-        if metal > 0.0:
+        made, metal = self.copy(), self._share.sum()
+        if metal > 0.0 and not self.mapped:
             mean_mm = float((self._share * self._over_mm).sum() / metal)
             made._over_mm = np.where(self._share > 0.0, self._over_mm - mean_mm, 0.0)
         return made
@@ -117,12 +111,11 @@ class Surface:
         """Build a layer that is to have a height, of metal as high as (rows, columns) in the cells of `target`."""
         over, built = np.zeros_like(self._over_mm), np.zeros_like(self._share)
         if target.share.size:
-            at = self._window(target)
-            inside = target.share >= HALF
+            at, inside = self._window(target), target.share >= HALF
             metal = inside & ((laid_mm >= REACHED * thickness_mm) | reachable(inside, self._bead))
             before = np.where(self._share[at] > 0.0, self._over_mm[at], 0.0)
             fields = target.share, laid_mm - thickness_mm * target.share
-            share, excess = (gathered(field, target.share, metal) for field in fields)
+            share, excess = (_with_rims(field, target.share, metal) for field in fields)
             raised = before + np.divide(excess, share, out=np.zeros_like(share), where=metal)
             built[at] = share
             over[at] = levelled(raised, share, self._bead)
@@ -135,20 +128,19 @@ class Surface:
         return slice(row, row + target.share.shape[0]), slice(column, column + target.share.shape[1])
 
 
-def gathered(field: Floats, share: Floats, metal: Bools) -> Floats:
+def _with_rims(field: Floats, share: Floats, metal: Bools) -> Floats:
     """A field (rows, columns) on the cells of metal alone, each with that of the nearest cells under :data:`HALF`: no rim loses
     area or metal."""
-    found = np.where(metal, field, 0.0)
-    parts = (share > 0.0) & (share < HALF)
-    if metal.any() and parts.any():
-        moved_to_neighbours(found, field, parts, metal)
-    return found
+    result = np.where(metal, field, 0.0)
+    moved_to_neighbours(result, field, (share > 0.0) & (share < HALF), metal)
+    return result
 
 
 def levelled(height: Floats, share: Floats, bead_cells: float) -> Floats:
     """Heights of molten metal (rows, columns) when it has levelled over a bead width, without flowing over the border; 0 where the
     share of metal is 0."""
-    flown, weight = _spread(height, share, LEVELLED_BEADS * bead_cells)
+    # The standard deviation of a disc of one bead width's radius.
+    flown, weight = _spread(height, share, 0.5 * bead_cells)
     return np.asarray(np.where(share > 0.0, flown + (1.0 - weight) * height, 0.0), np.float64)
 
 

@@ -13,6 +13,7 @@ from ebamcheck.geometry.regions import valid_polygons
 from ebamcheck.kernels import Bools, Floats, Ints, kernel
 
 CELLS_PER_BEAD = 6  # cells across a bead: a third of the half bead that a height field has to resolve
+
 ROUNDING = 1e-9  # shares under this are the rounding of a sum along a row of cells
 REACHED = 0.07  # height of metal over that of the layer under which a place is bare: the tip of a corner, which no bead builds
 MOST_CELLS = 4_000_000  # cells of one layer at most; a larger one gets coarser cells
@@ -111,17 +112,15 @@ def squared_distances(cells: Bools) -> Ints:
     return result
 
 
-# Rows up and columns to the right of the cells that touch one, in their turn: those beside it are nearer than those at its corners
-NEIGHBOURS = ((0, -1), (-1, 0), (1, 0), (0, 1), (-1, -1), (1, -1), (-1, 1), (1, 1))
-
-
 def moved_to_neighbours(found: Floats, field: Floats, moved: Bools, to: Bools) -> None:
     """Add the values of the cells `moved` of a field (rows, columns) to the nearest of the cells `to` that touch them, if any
     does."""
+    # Rows up and columns to the right, in turn: cells beside one are nearer than those at its corners.
+    steps = np.array([(0, -1), (-1, 0), (1, 0), (0, 1), (-1, -1), (1, -1), (-1, 1), (1, 1)])
     row, column = np.nonzero(moved)
     around = np.pad(to, 1)
-    touching = np.stack([around[row + 1 + up, column + 1 + right] for up, right in NEIGHBOURS])
+    touching = np.stack([around[row + 1 + up, column + 1 + right] for up, right in steps])
     some = touching.any(axis=0)
-    step = np.array(NEIGHBOURS)[touching.argmax(axis=0)[some]]
+    up, right = steps[touching.argmax(axis=0)[some]].T
     row, column = row[some], column[some]
-    np.add.at(found, (row + step[:, 0], column + step[:, 1]), field[row, column])
+    np.add.at(found, (row + up, column + right), field[row, column])

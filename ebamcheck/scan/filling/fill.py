@@ -24,7 +24,6 @@ from ebamcheck.settings.config import Config
 
 # Share of the spacing by which a hatch line stops before the border of its island: the turn, or the round end of the bead, fills the rest
 TRIM = 0.3
-SHORTEST_TRIMMED = 0.5  # lines are not trimmed to under this times the bead width, and not lengthened either
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,8 +58,7 @@ def fill_islands(
     turn = config.scan.first_angle_deg + layer * config.scan.layer_angle_deg
     angle = hatch_directions(found, spacing, turn, config.scan.island_angle_deg)
     hatched, _ = hatch(found.polygons, angle, width, spacing)
-    hatched = trimmed(hatched, TRIM * spacing, SHORTEST_TRIMMED * width)
-    count, beads = len(found.polygons), [hatched]
+    count, beads = len(found.polygons), [_trimmed_lines(hatched, TRIM * spacing, 0.5 * width)]
     for number, wall in enumerate(walls, count):
         lines = wall_lines(wall, width, spacing, to_the_end=number < count + narrow)
         if lines:
@@ -75,8 +73,8 @@ def fill_islands(
     return Vectors(*map(np.concatenate, columns)), chained
 
 
-def trimmed(lines: Vectors, by_mm: float, shortest_mm: float) -> Vectors:
-    """Shorten lines at both ends, but none to under a length."""
+def _trimmed_lines(lines: Vectors, by_mm: float, shortest_mm: float) -> Vectors:
+    """Shorten lines at both ends, but none to under a length, and none that is shorter."""
     way = lines.end - lines.start
     length = np.hypot(way[:, 0], way[:, 1])
     cut_mm = np.clip(0.5 * (length - shortest_mm), 0.0, by_mm)
@@ -87,45 +85,36 @@ def trimmed(lines: Vectors, by_mm: float, shortest_mm: float) -> Vectors:
 def close_gaps(filled: FilledLayer, regions: Regions, config: Config) -> FilledLayer:
     """Lay gap beads, and measure the coverage."""
     width, section = config.process.bead_width_mm, regions.section
-    beads = _beads(regions, filled.lines)
+    contour = segments_of(shapely.boundary(regions.contour))
+    beads = np.vstack([contour, np.hstack([filled.lines.start, filled.lines.end])])
     bare = bare_samples(section, beads, width)
     spots, asked = bare_spots(section, bare, beads, width), config.scan
     measured = section.area, bare.covered, asked.least_coverage
     chosen, widest_mm = spots_to_close(spots, asked.gap_width * width, *measured)
     if not chosen:
         return replace(filled, covered=bare.covered, widest_gap_mm=widest_mm)
-    spacing = config.process.hatch_spacing_mm
-    beads_of, island, polygons = gap_beads(chosen, section, filled.islands, width, spacing)
-    added = len(polygons)
-    line, start, end = line_rows(beads_of)
-    lines = joined(filled.lines, Vectors(island[line], start, end))
+    gaps, island, polygons = gap_beads(
+        chosen, section, filled.islands, width, config.process.hatch_spacing_mm
+    )
+    points, of = shapely.get_coordinates(gaps, return_index=True)
+    starts = np.flatnonzero(of[:-1] == of[1:])
+    lines = joined(filled.lines, Vectors(island[of[starts]], points[starts], points[starts + 1]))
+    beads = np.vstack([contour, np.hstack([lines.start, lines.end])])
     return FilledLayer(
         islands=np.concatenate([filled.islands, polygons]),
-        kind=np.concatenate([filled.kind, np.full(added, cells.GAP)]).astype(np.str_),
+        kind=np.concatenate([filled.kind, np.full(len(polygons), cells.GAP)]).astype(np.str_),
         lines=lines,
-        chained=np.concatenate([filled.chained, np.ones(added, np.bool_)]),
-        covered=covered_fraction(section, _beads(regions, lines), width),
+        chained=np.concatenate([filled.chained, np.ones(len(polygons), np.bool_)]),
+        covered=covered_fraction(section, beads, width),
         widest_gap_mm=widest_mm,
     )
-
-
-def _beads(regions: Regions, lines: Vectors) -> Floats:
-    """Centre lines of all beads, (S, 4)."""
-    return np.vstack([segments_of(shapely.boundary(regions.contour)), np.hstack([lines.start, lines.end])])
 
 
 # Spots under this times the squared bead width are left: a hundredth of a bead's own spot or two
 LEAST_SPOT = 0.02
 # So are, in sections of small parts, spots under this share of a part of mean area: a tenth of what the gate of the coverage leaves bare
 LEAST_SHARE = 0.002
-# Share of half a bead width within which a gap bead must reach all of its spot: the rest is sagitta of the arcs and tolerance of the machine
-REACH = 0.97
 ARC_SEGMENTS = 8  # chords in a quarter of a bead's round end
-# Share of a spot that a straight bead may leave; else the bead follows the spot's centre line
-LEFT_OVER = 0.02
-# By how much more than its gate asks a layer is covered: the error of the coverage's samples
-COVERAGE_MARGIN = 0.002
-PLACE = 0.25  # reach of a gap's island around its bead, over the bead width: so small that two gaps find room side by side
 NO_AREA_MM2 = 1e-6  # pieces smaller than this are rounding
 
 
@@ -141,13 +130,13 @@ def bare_spots(
         return []
     lines = np.asarray(shapely.linestrings(segments.reshape(-1, 2, 2)), object)
     tree, around = shapely.STRtree(lines), shapely.STRtree(parts)
-    found: list[shapely.Polygon] = []
+    spots: list[shapely.Polygon] = []
     for patch in valid_polygons(shapely.union_all(boxes)):
         near = np.sort(tree.query(patch, predicate="dwithin", distance=0.5 * bead_width_mm))
         beads = shapely.buffer(lines[near], 0.5 * bead_width_mm, quad_segs=2 * ARC_SEGMENTS)
         left = shapely.difference(_within(parts, around, patch), shapely.union_all(beads))
-        found += valid_polygons(left)
-    return [spot for spot in found if spot.area >= least_mm2]
+        spots += valid_polygons(left)
+    return [spot for spot in spots if spot.area >= least_mm2]
 
 
 def _boxes(bare: BareSamples, least_mm2: float) -> NDArray[np.object_]:
@@ -157,11 +146,9 @@ def _boxes(bare: BareSamples, least_mm2: float) -> NDArray[np.object_]:
         return np.zeros(0, object)
     sizes = np.bincount(labels.ravel(), minlength=count + 1)[1:]
     places = zip(ndimage.find_objects(labels), sizes * bare.step_mm**2, strict=True)
-    kept = [place for place, area_mm2 in places if place is not None and area_mm2 >= least_mm2]
-    if not kept:
-        return np.zeros(0, object)
-    low = np.array([(x.start - 1, y.start - 1) for y, x in kept]) * bare.step_mm + bare.origin
-    high = np.array([(x.stop + 1, y.stop + 1) for y, x in kept]) * bare.step_mm + bare.origin
+    large = [place for place, area_mm2 in places if place is not None and area_mm2 >= least_mm2]
+    low = np.array([(x.start - 1, y.start - 1) for y, x in large]).reshape(-1, 2) * bare.step_mm + bare.origin
+    high = np.array([(x.stop + 1, y.stop + 1) for y, x in large]).reshape(-1, 2) * bare.step_mm + bare.origin
     return np.asarray(shapely.box(*low.T, *high.T), object)
 
 
@@ -181,7 +168,8 @@ def spots_to_close(
     widths = spot_widths_mm(spots)
     by_area = np.argsort([-spot.area for spot in spots], kind="stable")
     chosen, left = [], []
-    missing_mm2 = (least + COVERAGE_MARGIN - covered) * area_mm2
+    # The samples of the coverage have an error.
+    missing_mm2 = (least + 0.002 - covered) * area_mm2
     for k in (*by_area[widths[by_area] >= width_mm], *by_area[widths[by_area] < width_mm]):
         if widths[k] >= width_mm or missing_mm2 > 0.0:
             chosen.append(spots[k])
@@ -207,8 +195,7 @@ def gap_beads(
     parts = np.asarray(valid_polygons(section), object)
     around = shapely.STRtree(parts)
     shortest_mm = SHORTEST_LINE * bead_width_mm
-    lines: list[shapely.LineString] = []
-    owner: list[int] = []
+    held: list[tuple[int, shapely.LineString]] = []
     new: list[shapely.Polygon] = []
     for spot in spots:
         local = shapely.box(*(np.array(spot.bounds) + np.array([-1, -1, 1, 1]) * 2.0 * bead_width_mm))
@@ -218,15 +205,19 @@ def gap_beads(
         near |= {len(islands) + int(k): new[k] for k in met}
         free = shapely.difference(region, shapely.union_all(list(near.values())))
         over = _beads_over(spot, region, free, bead_width_mm, spacing_mm)
-        held = [(k, _pieces(line, island, shortest_mm)) for line in over for k, island in near.items()]
-        found = [(k, piece) for k, pieces in held for piece in pieces]
+        for line in over:
+            for k, island in near.items():
+                held += [(k, piece) for piece in _pieces(line, island, shortest_mm)]
         beside = [part for line in over for part in _pieces(line, free, shortest_mm)]
-        for place, lying in _places(beside, free, PLACE * bead_width_mm):
-            found += [(len(islands) + len(new), part) for part in lying]
+        # So near around its bead that two gaps find room side by side.
+        for place, lying in _places(beside, free, 0.25 * bead_width_mm):
+            held += [(len(islands) + len(new), part) for part in lying]
             new.append(place)
-        owner += [k for k, _ in found]
-        lines += [part for _, part in found]
-    return cells.column(lines), np.array(owner, np.int64), cells.column(new)
+    return (
+        cells.column([line for _, line in held]),
+        np.array([k for k, _ in held], np.int64),
+        cells.column(new),
+    )
 
 
 def _within(parts: NDArray[np.object_], tree: shapely.STRtree, box: shapely.Polygon) -> BaseGeometry:
@@ -258,9 +249,13 @@ def _beads_over(
     spot: shapely.Polygon, region: BaseGeometry, free: BaseGeometry, bead_width_mm: float, spacing_mm: float
 ) -> list[shapely.LineString]:
     """Lines within a region whose beads cover a spot: as short as they can be, as deep as they can lie."""
-    reach_mm = 0.5 * REACH * bead_width_mm
+    # The rest of half a bead is sagitta of the arcs and tolerance of the machine.
+    reach_mm = 0.5 * 0.97 * bead_width_mm
     hull = shapely.get_coordinates(shapely.convex_hull(spot))[:-1]
-    way = _long_way(hull)
+    # Along the long axis of the spot: the greatest spread of its corners.
+    centred = hull - hull.mean(axis=0)
+    way = np.linalg.eigh(centred.T @ centred)[1][:, 1]
+    way = way if (way[0], way[1]) > (0.0, 0.0) else -way
     # All points from which the whole spot is within reach.
     around = shapely.intersection_all(shapely.buffer(shapely.points(hull), reach_mm, quad_segs=ARC_SEGMENTS))
     for allowed in (free, region):
@@ -268,37 +263,21 @@ def _beads_over(
         if here:
             # As much metal as is missing, but no line that is too short to be driven.
             length = max(spot.area / spacing_mm, 2.0 * SHORTEST_LINE * bead_width_mm)
-            centre = _deepest(here, region)
+            # The point that lies deepest in the region.
+            inner = [p.representative_point() for p in here]
+            points = np.vstack([shapely.get_coordinates([*inner, p]) for p in here])
+            depth = shapely.distance(shapely.points(points), shapely.boundary(region))
+            centre = points[int(np.argmax(depth))]
             line = shapely.LineString([centre - 0.5 * length * way, centre + 0.5 * length * way])
-            return _holding(shapely.intersection(line, allowed), centre)
+            cut = [p for p in shapely.get_parts(shapely.intersection(line, allowed)) if p.length > 0.0]
+            return sorted(cut, key=lambda p: float(p.distance(shapely.Point(centre))))[:1]
     straight = shapely.intersection(_trimmed(hull, way, reach_mm), region)
     left = shapely.difference(spot, shapely.buffer(straight, reach_mm, quad_segs=ARC_SEGMENTS)).area
     pieces = [p for p in shapely.get_parts(straight) if p.length > 0.0]
-    if left <= LEFT_OVER * spot.area and len(pieces) == 1:
+    # A straight bead may leave 2 % of the spot; else the bead follows the spot's centre line.
+    if left <= 0.02 * spot.area and len(pieces) == 1:
         return pieces
     return [shapely.LineString(line) for line in wall_lines(spot, bead_width_mm, spacing_mm)] or pieces
-
-
-def _holding(lines: BaseGeometry, point: Floats) -> list[shapely.LineString]:
-    """The part of a cut line that goes through a point."""
-    parts = [p for p in shapely.get_parts(lines) if p.length > 0.0]
-    return [min(parts, key=lambda p: float(p.distance(shapely.Point(point))))] if parts else []
-
-
-def _long_way(hull: Floats) -> Floats:
-    """Unit vector along the long axis of a spot: that of the greatest spread of its corners."""
-    centred = hull - hull.mean(axis=0)
-    _, vectors = np.linalg.eigh(centred.T @ centred)
-    way = vectors[:, 1]
-    return np.asarray(way if (way[0], way[1]) > (0.0, 0.0) else -way, np.float64)
-
-
-def _deepest(parts: Sequence[shapely.Polygon], region: BaseGeometry) -> Floats:
-    """Point of some polygons that lies furthest from the border of a region."""
-    inner = [p.representative_point() for p in parts]
-    points = np.vstack([shapely.get_coordinates([*inner, p]) for p in parts])
-    depth = shapely.distance(shapely.points(points), shapely.boundary(region))
-    return np.asarray(points[int(np.argmax(depth))], np.float64)
 
 
 def _trimmed(hull: Floats, way: Floats, reach_mm: float) -> shapely.LineString:
@@ -310,12 +289,3 @@ def _trimmed(hull: Floats, way: Floats, reach_mm: float) -> shapely.LineString:
     start, end = float((along + slack).min()), float((along - slack).max())
     middle = middle + shift * np.array([-way[1], way[0]])
     return shapely.LineString([middle + min(start, end) * way, middle + max(start, end) * way])
-
-
-def line_rows(lines: NDArray[np.object_]) -> tuple[Ints, Floats, Floats]:
-    """Segments of lines: line of each (S,), start (S, 2) and end (S, 2), mm."""
-    sizes = shapely.get_num_points(lines)
-    points = shapely.get_coordinates(lines)
-    last = np.cumsum(sizes) - 1
-    starts = np.delete(np.arange(len(points)), last)
-    return np.repeat(np.arange(len(lines)), sizes - 1).astype(np.int64), points[starts], points[starts + 1]

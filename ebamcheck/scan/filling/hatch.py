@@ -5,17 +5,15 @@ evenly. Lines end on its border, so that lines times pitch is its area, and neig
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
-import shapely
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ebamcheck.geometry.raster import each_of
 from ebamcheck.geometry.regions import equivalent_rectangles_mm, ring_columns
 from ebamcheck.kernels import Floats, Ints
-from ebamcheck.scan.islands.lattice import minimum_rectangle
+from ebamcheck.scan.islands.lattice import long_direction_rad
 
 # Largest distance of neighbouring beads over their width: a bead's edge must lie on the next bead
 WIDEST_PITCH = 0.9
@@ -58,21 +56,21 @@ def hatch(
     geometries = np.asarray(islands, object).reshape(-1)
     angles = np.array(np.broadcast_to(np.asarray(angle_rad, np.float64), geometries.shape))
     width, _ = equivalent_rectangles_mm(geometries)
+    widest_mm = widest_pitch_mm(bead_width_mm, spacing_mm)
+
+    def lines(which: Ints, shortest_mm: float) -> Vectors:
+        points, (ring_starts, island_rings) = ring_columns(geometries[which])
+        columns = points, ring_starts, island_rings, angles[which]
+        island, start, end = scan_lines(*columns, spacing_mm, widest_mm, shortest_mm)
+        return Vectors(which[island], start, end)
+
     for i in np.flatnonzero(width < spacing_mm):
-        angles[i] = _long_direction(geometries[i])
-    vectors = _scan(geometries, angles, bead_width_mm, spacing_mm, SHORTEST_LINE * bead_width_mm)
+        angles[i] = long_direction_rad(geometries[i])
+    vectors = lines(np.arange(geometries.size), SHORTEST_LINE * bead_width_mm)
     missed = np.setdiff1d(np.arange(geometries.size), vectors.island)
     for i in missed:
-        angles[i] = _long_direction(geometries[i])
-    if missed.size:
-        rest = _scan(geometries[missed], angles[missed], bead_width_mm, spacing_mm, 0.0)
-        vectors = joined(vectors, Vectors(missed[rest.island], rest.start, rest.end))
-    return vectors, angles
-
-
-def _long_direction(island: shapely.Polygon) -> float:
-    """Direction of the long side of the smallest rectangle around an island."""
-    return minimum_rectangle(shapely.get_coordinates(shapely.convex_hull(island))).angle_rad + 0.5 * math.pi
+        angles[i] = long_direction_rad(geometries[i])
+    return (joined(vectors, lines(missed, 0.0)) if missed.size else vectors), angles
 
 
 def joined(first: Vectors, second: Vectors) -> Vectors:
@@ -81,15 +79,6 @@ def joined(first: Vectors, second: Vectors) -> Vectors:
     order = np.argsort(island, kind="stable")
     start, end = np.vstack([first.start, second.start]), np.vstack([first.end, second.end])
     return Vectors(island[order], start[order], end[order])
-
-
-def _scan(
-    islands: NDArray[np.object_], angles: Floats, bead_width_mm: float, spacing_mm: float, shortest_mm: float
-) -> Vectors:
-    """Clip the lines of all islands."""
-    points, (ring_starts, island_rings) = ring_columns(islands)
-    widest_mm = widest_pitch_mm(bead_width_mm, spacing_mm)
-    return Vectors(*scan_lines(points, ring_starts, island_rings, angles, spacing_mm, widest_mm, shortest_mm))
 
 
 def scan_lines(

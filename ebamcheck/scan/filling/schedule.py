@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ebamcheck.geometry.raster import each_of
 from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.scan.filling.hatch import Vectors
 from ebamcheck.settings.config import Config
@@ -43,11 +44,12 @@ def island_schedule(lines: Vectors, chained: Bools, config: Config) -> IslandSch
     first = np.concatenate([[0], np.cumsum(np.bincount(lines.island, minlength=count))])
     entry, leave = island_ends(a, b, first, chained)
     spacing = config.process.hatch_spacing_mm
-    turn, jump = turns_and_jumps_mm(lines.island, a, b, spacing)
-    other_turn, other_jump = turns_and_jumps_mm(lines.island, b, a, spacing)
-    turned = chained[lines.island]
-    turn = np.where(turned, turn, 0.5 * (turn + other_turn))
-    jump = np.where(turned, jump, 0.5 * (jump + other_jump))
+    forwards = turns_and_jumps_mm(lines.island, a, b, spacing)
+    backwards = turns_and_jumps_mm(lines.island, b, a, spacing)
+    turn, jump = (
+        np.where(chained[lines.island], one, 0.5 * (one + other))
+        for one, other in zip(forwards, backwards, strict=True)
+    )
     beam_s = np.bincount(lines.island, np.hypot(*(b - a).T) + turn, count) / config.process.travel_speed_mm_s
     inner_s = np.bincount(lines.island, jump, count) / config.machine.rapid_mm_s
     return IslandSchedule(entry, leave, beam_s, np.asarray(beam_s + inner_s, np.float64))
@@ -65,10 +67,9 @@ def island_ends(start: Floats, end: Floats, first: Ints, chained: Bools) -> tupl
 
 # Cosine of the angle between a turn and a line beside it from which on the beam would melt its track again; parallel lines reach -cos(26 degrees)
 SHARPEST_TURN = -math.cos(math.radians(20.0))
-# A turn longer than the second keeps its middle the first away from every line of its island, in spacings: nearer it lays metal on metal
-BESIDE_SPACINGS, SHORT_SPACINGS = 0.25, 0.6
-SHORTEST_MM = 0.01  # a line or turn that is shorter has no direction that counts
-TINY = 1e-300  # least divisor
+JOINED_MM = (
+    1e-6  # a line that starts within this of the end of the last one goes on without a jump or a wire start
+)
 
 
 def gaps_mm(start: Floats, end: Floats) -> Floats:
@@ -105,29 +106,32 @@ def _turns_back(start: Floats, end: Floats) -> Bools:
     way, turn = end - start, start[1:] - end[:-1]
     length, turn_mm = np.hypot(*way.T), np.hypot(*turn.T)
     for beside in (slice(None, -1), slice(1, None)):
-        known = np.minimum(length[beside], turn_mm) > SHORTEST_MM
+        known = np.minimum(length[beside], turn_mm) > 0.01  # a shorter one has no direction that counts
         along = np.einsum("ij,ij->i", way[beside], turn)
         back[1:] |= known & (along < SHARPEST_TURN * length[beside] * turn_mm)
     return back
 
 
 def _over_lines(on: Bools, island: Ints, start: Floats, end: Floats, spacing_mm: float) -> Bools:
-    """Whether the turn to a line (V,), among those that are `on`, leads over a line of its island."""
+    """Whether the turn to a line (V,), among those that are `on`, leads over a line of its island.
+
+    A turn longer than 0.6 spacings keeps its middle a quarter of one away from every line of its island: nearer it lays metal on metal.
+    """
     over = np.zeros(len(on), np.bool_)
     turn = np.flatnonzero(on[1:]) + 1
-    turn = turn[np.hypot(*(start[turn] - end[turn - 1]).T) > SHORT_SPACINGS * spacing_mm]
+    turn = turn[np.hypot(*(start[turn] - end[turn - 1]).T) > 0.6 * spacing_mm]
     if not len(turn):
         return over
     run = np.cumsum(np.diff(island, prepend=island[:1]) != 0)
     size = np.bincount(run)
     count = size[run[turn]]
-    first = np.cumsum(count) - count
-    line = np.arange(count.sum()) - np.repeat(first - (np.cumsum(size) - size)[run[turn]], count)
+    which, number = each_of(count)
+    line = number + (np.cumsum(size) - size)[run[turn]][which]
     way, middle = (end - start)[line], 0.5 * (end[turn - 1] + start[turn])
-    away = np.repeat(middle, count, axis=0) - start[line]
-    along = (away * way).sum(axis=1) / np.maximum((way * way).sum(axis=1), TINY)
+    away = middle[which] - start[line]
+    along = (away * way).sum(axis=1) / np.maximum((way * way).sum(axis=1), np.finfo(float).tiny)
     aside = np.hypot(*(np.clip(along, 0.0, 1.0)[:, None] * way - away).T)
-    over[turn] = np.minimum.reduceat(aside, first) < BESIDE_SPACINGS * spacing_mm
+    over[turn] = np.minimum.reduceat(aside, np.cumsum(count) - count) < 0.25 * spacing_mm
     return over
 
 
@@ -139,7 +143,3 @@ def turns_and_jumps_mm(island: Ints, start: Floats, end: Floats, spacing_mm: flo
     gaps = np.where(inside, gaps_mm(start, end), 0.0)
     gaps[gaps <= JOINED_MM] = 0.0
     return np.where(on, gaps, 0.0), np.where(on, 0.0, gaps)
-
-
-# A line that starts within this of the end of the last one goes on without a jump or a wire start
-JOINED_MM = 1e-6

@@ -19,7 +19,7 @@ from scipy.spatial import QhullError, Voronoi
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.geometry.regions import NO_WIDTH_MM, mean_width_mm
-from ebamcheck.kernels import Bools, Floats, Ints
+from ebamcheck.kernels import Floats, Ints
 
 # Border points per wall width: with three of them, out of step on its two sides, two of five blocks of a wall were zigzag
 SAMPLES_ACROSS = 9.0
@@ -28,26 +28,13 @@ MOST_SAMPLES = 20_000  # border points of one wall; a wall that would need more 
 ARC_OVER_CHORD = 2.0
 # A bead stops where the wall's end is narrower than the first times the bead width, or the second times the wall's greatest width, if less
 TAPER, TAPER_SHARE = 0.2, 0.1
-LEFT_SHARE = 0.02  # share of a wall's area that its end may leave without a bead, at most: a leg of even width holds more, and is no taper
-ALONE = 1.01  # greatest width, over the bead's, of a wall that one bead fills: it reaches both sides
 LEAST_APART = 0.5  # no bead of a wall lies nearer to another one of it than this times the spacing: there one has the metal of both
 LEAST_BEAD = 0.5  # no bead reaches less far than this times the bead width, unless the wall has no longer one
-# Length over the bead width for which a wall must be wider, or narrower, before its beads change in number: junctions are wider than their walls
-LEAST_RUN = 1.0
-# Length, over the wall's width, by which a bead goes on beyond the centre line: beyond the end of a wall cut from other metal, else half-way to it
-WHOLE_END, ROUND_END = 2.0, 0.25
-STEP = 0.25  # distance, over the bead width, of the points where the width of a wall is measured
 STRAIGHT_ON_DEG = 60.0  # turn at a fork up to which one bead goes on through it
-# Length, over the bead width, of a piece of a bead that goes back on the one before, and cosine of the turn: no bead is wanted there
-HOOK, HOOK_COS = 0.25, -0.5
-# Deviation of the centre line from its samples, over the wall's width, by which it is simplified
-STRAIGHTNESS = 0.02
-# Border points are joggled by some 1e-11 of their extent: without it, time grows with the square of the points on a straight side
-QHULL_OPTIONS = "Qbb Qc QJ"
-ARC_SEGMENTS = 16
-# Chords in a quarter of the round around a bead's end, and the least distance of a chord, over the round's radius
-CHORD = math.cos(0.25 * math.pi / ARC_SEGMENTS)
-WEED_MM = 1e-4  # corners of the Voronoi diagram joined by an edge shorter than this are one: where four arms meet, it has two forks instead
+STRAIGHTNESS = (
+    0.02  # deviation of the centre line from its samples, over the wall's width, by which it is simplified
+)
+ARC_SEGMENTS = 16  # chords in a quarter of the round around a bead's end
 
 
 def wall_lines(
@@ -63,17 +50,14 @@ def wall_lines(
     if width <= NO_WIDTH_MM:
         return []
     branches = centre_line(wall, width)
-    paths = _straight_on(branches)
-    ends = _fork_counts(branches)
-    found = []
-    for path in paths:
+    ends, beads = _fork_counts(branches), []
+    for path in _straight_on(branches):
         free = [ends[end] == 1 and not path.is_ring for end in _ends(path)]
-        found += _side_by_side(path, free, wall, bead_width_mm, spacing_mm, to_the_end)
-    inside = shapely.intersection(np.asarray(found, object), wall) if found else np.zeros(0, object)
+        beads += _side_by_side(path, free, wall, bead_width_mm, spacing_mm, to_the_end)
+    inside = shapely.intersection(np.asarray(beads, object), wall) if beads else np.zeros(0, object)
     pieces = [part for part in shapely.get_parts(inside) if part.length > 0]
-    kept = _apart(pieces, LEAST_APART * spacing_mm, LEAST_BEAD * bead_width_mm)
-    lines = [shapely.get_coordinates(line) for line in kept]
-    return [line if n % 2 == 0 else line[::-1] for n, line in enumerate(lines)]
+    apart = _apart(pieces, LEAST_APART * spacing_mm, LEAST_BEAD * bead_width_mm)
+    return [shapely.get_coordinates(line)[:: 1 if n % 2 == 0 else -1] for n, line in enumerate(apart)]
 
 
 def centre_line(wall: shapely.Polygon, width_mm: float) -> list[shapely.LineString]:
@@ -82,21 +66,26 @@ def centre_line(wall: shapely.Polygon, width_mm: float) -> list[shapely.LineStri
     points, place, around, ring = _border_samples(wall, width_mm)
     middle = points.mean(axis=0)  # Qhull joggles, and rounds, by the greatest coordinate
     try:
-        diagram = Voronoi(points - middle, qhull_options=QHULL_OPTIONS)
+        # Joggled by some 1e-11 of the extent: else time grows with the square of the points on a straight side.
+        diagram = Voronoi(points - middle, qhull_options="Qbb Qc QJ")
     except (QhullError, ValueError):  # fewer than three points apart, or all of them on one line
         return []
-    ridges = np.asarray(diagram.ridge_vertices)
-    facing = _facing(points, place, around, ring, np.asarray(diagram.ridge_points))
+    ridges, (a, b) = np.asarray(diagram.ridge_vertices), np.asarray(diagram.ridge_points).T
+    # Border points that face each other across the wall.
+    chord, one_way = np.hypot(*(points[a] - points[b]).T), np.abs(place[a] - place[b])
+    arc = np.minimum(one_way, around[a] - one_way)
+    facing = (ring[a] != ring[b]) | (arc > ARC_OVER_CHORD * chord)
     corners = diagram.vertices + middle
     inside = shapely.contains_xy(wall, corners)
-    kept = facing & (ridges >= 0).all(axis=1) & inside[ridges].all(axis=1)
-    segments = _weeded(corners, ridges[kept])
+    segments = _weeded(corners, ridges[facing & (ridges >= 0).all(axis=1) & inside[ridges].all(axis=1)])
     if not len(segments):
         return []
     lines = np.asarray(shapely.linestrings(segments), np.object_)
     merged = shapely.line_merge(shapely.multilinestrings(lines.tolist()))
     branches = _without_spurs([p for p in shapely.get_parts(merged) if p.length > 0], width_mm)
-    return _sorted([shapely.simplify(branch, STRAIGHTNESS * width_mm) for branch in branches])
+    straight = [shapely.simplify(branch, STRAIGHTNESS * width_mm) for branch in branches]
+    # In an order, and each in a direction, that do not depend on how they were found.
+    return sorted((b if _ends(b)[0] <= _ends(b)[1] else shapely.reverse(b) for b in straight), key=_ends)
 
 
 def _border_samples(wall: shapely.Polygon, width_mm: float) -> tuple[Floats, Floats, Floats, Ints]:
@@ -113,18 +102,10 @@ def _border_samples(wall: shapely.Polygon, width_mm: float) -> tuple[Floats, Flo
     return np.concatenate(points), np.concatenate(place), np.concatenate(around), np.concatenate(ring)
 
 
-def _facing(points: Floats, place: Floats, around: Floats, ring: Ints, pairs: Ints) -> Bools:
-    """Which pairs of border points face each other across the wall."""
-    a, b = pairs[:, 0], pairs[:, 1]
-    chord = np.hypot(*(points[a] - points[b]).T)
-    one_way = np.abs(place[a] - place[b])
-    arc = np.minimum(one_way, around[a] - one_way)
-    return np.asarray((ring[a] != ring[b]) | (arc > ARC_OVER_CHORD * chord), np.bool_)
-
-
 def _weeded(corners: Floats, edges: Ints) -> Floats:
-    """Ends of the edges (S, 2, 2) of a diagram, those of short edges one point, and the edges themselves left out."""
-    short = edges[np.hypot(*(corners[edges[:, 0]] - corners[edges[:, 1]]).T) < WEED_MM]
+    """Ends of the edges (S, 2, 2) of a diagram without short ones, whose ends are one: where four arms meet, it has two forks
+    instead."""
+    short = edges[np.hypot(*(corners[edges[:, 0]] - corners[edges[:, 1]]).T) < 1e-4]
     joins = coo_array((np.ones(len(short), np.bool_), (short[:, 0], short[:, 1])), shape=(len(corners),) * 2)
     _, group = connected_components(joins, directed=False)
     _, first = np.unique(group, return_index=True)
@@ -152,12 +133,6 @@ def _without_spurs(branches: list[shapely.LineString], width_mm: float) -> list[
     return list(shapely.get_parts(shapely.line_merge(shapely.multilinestrings(kept))))
 
 
-def _sorted(branches: list[shapely.LineString]) -> list[shapely.LineString]:
-    """Branches in an order, and each in a direction, that do not depend on how they were found."""
-    turned = [b if _ends(b)[0] <= _ends(b)[1] else shapely.reverse(b) for b in branches]
-    return sorted(turned, key=_ends)
-
-
 def _straight_on(branches: list[shapely.LineString]) -> list[shapely.LineString]:
     """Join at every fork the two branches that go straightest on, up to :data:`STRAIGHT_ON_DEG`."""
     ways: dict[tuple[float, ...], list[tuple[int, int]]] = {}
@@ -165,12 +140,19 @@ def _straight_on(branches: list[shapely.LineString]) -> list[shapely.LineString]
         if not branch.is_ring:
             for side, end in enumerate(_ends(branch)):
                 ways.setdefault(end, []).append((n, side))
+
+    def leaving(n: int, side: int) -> Floats:
+        """Unit direction in which a branch leaves its start (0) or its end (1)."""
+        points = shapely.get_coordinates(branches[n])[:: 1 if side == 0 else -1]
+        way = points[1] - points[0]
+        return np.asarray(way / max(float(np.hypot(*way)), np.finfo(float).tiny), np.float64)
+
     turns = []
     for arms in ways.values():
-        leaving = [_leaving(branches[n], side) for n, side in arms]
+        ahead = [leaving(*arm) for arm in arms]
         for (i, a), (j, b) in itertools.combinations(enumerate(arms), 2):
             if a[0] != b[0]:
-                turn = math.degrees(math.acos(max(-1.0, min(1.0, -float(leaving[i] @ leaving[j])))))
+                turn = math.degrees(math.acos(max(-1.0, min(1.0, -float(ahead[i] @ ahead[j])))))
                 turns.append((round(turn, 6), a, b))
     path = [shapely.get_coordinates(branch) for branch in branches]
     place = {(n, side): (n, side) for n in range(len(branches)) for side in (0, 1)}
@@ -185,13 +167,6 @@ def _straight_on(branches: list[shapely.LineString]) -> list[shapely.LineString]
     return [shapely.LineString(points) for points in path if len(points)]
 
 
-def _leaving(branch: shapely.LineString, side: int) -> Floats:
-    """Unit direction in which a branch leaves its start (0) or its end (1)."""
-    points = shapely.get_coordinates(branch)[:: 1 if side == 0 else -1]
-    way = points[1] - points[0]
-    return np.asarray(way / max(float(np.hypot(*way)), np.finfo(float).tiny), np.float64)
-
-
 def _side_by_side(
     path: shapely.LineString,
     free: list[bool],
@@ -201,7 +176,9 @@ def _side_by_side(
     to_the_end: bool,
 ) -> list[shapely.LineString]:
     """Lines along a path, as many at each place as the wall is wide there; free ends reach the end of the wall."""
-    points, local = _measured(path, wall, STEP * bead_width_mm)
+    # At least three points, and the wall's width at each.
+    points = shapely.get_coordinates(shapely.segmentize(path, min(0.25 * bead_width_mm, 0.5 * path.length)))
+    local = 2.0 * np.atleast_1d(shapely.distance(shapely.points(points), wall.boundary))
     steps = np.hypot(*np.diff(points, axis=0).T)
     least_mm = min(TAPER * bead_width_mm, TAPER_SHARE * float(local.max()))
     low = _end_of_taper(local, steps, least_mm) if free[0] else 0
@@ -210,7 +187,12 @@ def _side_by_side(
     if high == low:  # a point is no line
         low, high = max(low - 1, 0), min(high + 1, len(points) - 1)
     points, local, steps = points[low : high + 1], local[low : high + 1], steps[low:high]
-    counts = _steady(_beads(local, bead_width_mm, spacing_mm), steps, LEAST_RUN * bead_width_mm)
+    # Beads side by side; one alone fills a wall a hair wider than itself. A wall must be wider or narrower over a bead width before
+    # they change in number: junctions are wider than their walls.
+    nearest = np.floor(local / spacing_mm + 0.5)
+    needed = np.ceil(local / max(spacing_mm, 1.01 * bead_width_mm))
+    counts = np.maximum(1, np.maximum(nearest, needed)).astype(np.int64)
+    counts = _steady(counts, steps, bead_width_mm)
     normal = _normals(points, path.is_ring)
     runs = np.split(np.arange(len(counts)), np.flatnonzero(np.diff(counts)) + 1)
     growing: list[tuple[Floats, bool]] = []
@@ -225,27 +207,32 @@ def _side_by_side(
         growing = [(np.vstack([line, points[run] + offset]), begun) for (line, begun), offset in grown]
     done += [(line, [begun, True]) for line, begun in growing]
     coarse_mm = STRAIGHTNESS * float(local.mean())
-    beyond_mm = (WHOLE_END if to_the_end else ROUND_END) * float(local.max())
-    found = []
+    # Free ends go on beyond the end of a wall cut from other metal, else half-way to it.
+    beyond_mm = (2.0 if to_the_end else 0.25) * float(local.max())
+    lines = []
     for points, at in done:
-        line = _without_hooks(shapely.simplify(shapely.LineString(points), coarse_mm), bead_width_mm)
-        found.append(_extended(line, [reached[0] and at[0], reached[1] and at[1]], beyond_mm))
-    return found
+        points = _without_hooks(shapely.simplify(shapely.LineString(points), coarse_mm), bead_width_mm)
+        if reached[0] and at[0]:
+            points = np.vstack([_beyond(points[1], points[0], beyond_mm), points])
+        if reached[1] and at[1]:
+            points = np.vstack([points, _beyond(points[-2], points[-1], beyond_mm)])
+        lines.append(shapely.LineString(points))
+    return lines
 
 
-def _without_hooks(line: shapely.LineString, bead_width_mm: float) -> shapely.LineString:
-    """Leave out corners at which a line turns back on itself for a moment: inside a bend, lines beside its middle cross
-    themselves."""
+def _without_hooks(line: shapely.LineString, bead_width_mm: float) -> Floats:
+    """Points of a line but for corners at which it turns back on itself, by more than 120 degrees, for less than a quarter of a bead:
+    inside a bend, lines beside its middle cross themselves."""
     points = shapely.get_coordinates(line)
     while len(points) > 3:
         steps = np.diff(points, axis=0)
         length = np.maximum(np.hypot(*steps.T), np.finfo(float).tiny)
         straight = (steps[1:] * steps[:-1]).sum(axis=1) / (length[1:] * length[:-1])
-        hooks = (straight < HOOK_COS) & (np.minimum(length[1:], length[:-1]) < HOOK * bead_width_mm)
+        hooks = (straight < -0.5) & (np.minimum(length[1:], length[:-1]) < 0.25 * bead_width_mm)
         if not hooks.any():
             break
         points = points[np.concatenate([[True], ~hooks, [True]])]
-    return shapely.LineString(points)
+    return np.asarray(points, np.float64)
 
 
 def _end_of_taper(local_mm: Floats, steps_mm: Floats, least_mm: float) -> int:
@@ -253,7 +240,8 @@ def _end_of_taper(local_mm: Floats, steps_mm: Floats, least_mm: float) -> int:
     area = np.append(0.0, np.cumsum(0.5 * (local_mm[1:] + local_mm[:-1]) * steps_mm))
     while True:
         place = int(np.flatnonzero(local_mm >= least_mm)[0])
-        if area[place] <= LEFT_SHARE * area[-1]:
+        # A leg of even width holds more of the area, and is no taper.
+        if area[place] <= 0.02 * area[-1]:
             return place
         least_mm *= 0.5
 
@@ -267,20 +255,6 @@ def _going_on(before: int, after: int) -> list[int]:
     if before >= after:
         return nearest
     return [nearest.index(n) if n in nearest else -1 for n in range(after)]
-
-
-def _measured(path: shapely.LineString, wall: shapely.Polygon, step_mm: float) -> tuple[Floats, Floats]:
-    """Points (n, 2) along a path, at least three, and the wall's width (n,) at each."""
-    points = shapely.get_coordinates(shapely.segmentize(path, min(step_mm, 0.5 * path.length)))
-    local = 2.0 * np.atleast_1d(shapely.distance(shapely.points(points), wall.boundary))
-    return np.asarray(points, np.float64), np.asarray(local, np.float64)
-
-
-def _beads(local_mm: Floats, bead_width_mm: float, spacing_mm: float) -> Ints:
-    """Beads side by side (n,) that fill a wall of given widths."""
-    nearest = np.floor(local_mm / spacing_mm + 0.5)
-    needed = np.ceil(local_mm / max(spacing_mm, ALONE * bead_width_mm))
-    return np.maximum(1, np.maximum(nearest, needed)).astype(np.int64)
 
 
 def _steady(counts: Ints, steps_mm: Floats, least_mm: float) -> Ints:
@@ -310,31 +284,22 @@ def _normals(points: Floats, is_ring: bool) -> Floats:
 
 def _apart(pieces: list[shapely.LineString], apart_mm: float, least_mm: float) -> list[shapely.LineString]:
     """Lines, the longest as it is and every other one cut back from those before it; short rests are left out."""
+
+    def reach_mm(line: shapely.LineString) -> float:
+        """Diagonal of the box around a line: beside a narrow bend a line goes to and fro, and is longer than what it covers."""
+        x0, y0, x1, y1 = shapely.bounds(line).tolist()
+        return math.hypot(x1 - x0, y1 - y0)
+
     kept: list[tuple[int, shapely.LineString]] = []
     taken: BaseGeometry = shapely.Polygon()
+    # No chord of the round around a bead's end lies nearer than this distance.
+    around_mm = apart_mm / math.cos(0.25 * math.pi / ARC_SEGMENTS)
     for n in sorted(range(len(pieces)), key=lambda n: (-round(float(pieces[n].length), 6), n)):
         left = shapely.get_parts(shapely.difference(pieces[n], taken))
-        here = [part for part in left if _reach_mm(part) >= least_mm or not kept]
-        kept += [(n, part) for part in here]
-        around = shapely.buffer(here, apart_mm / CHORD, quad_segs=ARC_SEGMENTS)
-        taken = shapely.union_all([taken, *around])
+        long = [part for part in left if reach_mm(part) >= least_mm or not kept]
+        kept += [(n, part) for part in long]
+        taken = shapely.union_all([taken, *shapely.buffer(long, around_mm, quad_segs=ARC_SEGMENTS)])
     return [part for _, part in sorted(kept, key=lambda item: item[0])]
-
-
-def _reach_mm(line: shapely.LineString) -> float:
-    """Diagonal of the box around a line: beside a narrow bend a line goes to and fro, and is longer than what it covers."""
-    x0, y0, x1, y1 = shapely.bounds(line).tolist()
-    return math.hypot(x1 - x0, y1 - y0)
-
-
-def _extended(line: shapely.LineString, free: list[bool], width_mm: float) -> shapely.LineString:
-    """Lengthen the free ends by the wall's width, so that the line reaches the end of the wall."""
-    points = shapely.get_coordinates(line)
-    if free[0]:
-        points = np.vstack([_beyond(points[1], points[0], width_mm), points])
-    if free[1]:
-        points = np.vstack([points, _beyond(points[-2], points[-1], width_mm)])
-    return shapely.LineString(points)
 
 
 def _beyond(before: Floats, end: Floats, distance_mm: float) -> Floats:

@@ -14,14 +14,16 @@ from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.geometry.regions import equivalent_rectangles_mm, ring_columns, valid_polygons
 from ebamcheck.kernels import Bools, Floats, Ints, kernel
-from ebamcheck.scan.islands.lattice import SQRT3, Lattice, minimum_rectangle
+from ebamcheck.scan.islands.lattice import SQRT3, Lattice, long_direction_rad
 
 # Kinds of islands beside those of cells: a solid not divided, a thin wall, a spot left by all of these
 WHOLE, THIN_WALL, GAP = "whole", "thin wall", "gap"
-# Islands under this times the squared bead width are slivers: a bead hardly starts before it stops
-SLIVER_AREA = 1.0
-# Islands narrower than this times the bead spacing are slivers: a line there lies on its neighbours
-SLIVER_WIDTH = 0.5
+SLIVER_AREA = (
+    1.0  # islands under this times the squared bead width are slivers: a bead hardly starts before it stops
+)
+SLIVER_WIDTH = (
+    0.5  # islands narrower than this times the bead spacing are slivers: a line there lies on its neighbours
+)
 # No island is a sliver with more than this share of a hexagon's area, or of its width: hexagons set small against the bead are wanted
 SLIVER_SHARE = 0.2
 ON_BORDER_MM = 1e-9  # faces of no area, which rounding leaves along a border, count as inside a solid up to so far from it
@@ -30,11 +32,11 @@ DEPTH_SHARE = 0.01  # depth of a point in a face, over the root of its area, tha
 
 @dataclass(frozen=True, eq=False)
 class Cells:
-    """Islands of one layer before they are filled: `polygons` (I,), `kind` (I,), `colour` (I,)."""
+    """Islands of one layer before they are filled."""
 
-    polygons: NDArray[np.object_]
-    kind: NDArray[np.str_]
-    colour: Ints
+    polygons: NDArray[np.object_]  # (I,)
+    kind: NDArray[np.str_]  # (I,)
+    colour: Ints  # (I,)
 
 
 def hexagon_area_mm2(side_mm: float) -> float:
@@ -78,8 +80,7 @@ def clip_lattice(solids: Sequence[shapely.Polygon], lattice: Lattice) -> tuple[N
 
     Cells inside are kept as they are. Those on a border are cut together, so that two parts with a common border share its points
     to the last bit, where a cut of each cell by itself leaves hairs between them."""
-    pieces: list[NDArray[np.object_]] = [np.zeros(0, object)]
-    owners: list[Ints] = [np.zeros(0, np.int64)]
+    pieces, owners = [np.zeros(0, object)], [np.zeros(0, np.int64)]
     for solid in solids:
         shapely.prepare(solid)
         near = np.flatnonzero(shapely.intersects(solid, lattice.cells))
@@ -189,16 +190,11 @@ def column(polygons: Sequence[BaseGeometry]) -> NDArray[np.object_]:
     return found
 
 
-def centroids(islands: NDArray[np.object_]) -> Floats:
-    """Centroid of each island, (I, 2) mm."""
-    return np.asarray(shapely.get_coordinates(shapely.centroid(islands)), np.float64).reshape(-1, 2)
-
-
 # -- Which islands of a layer touch, and along which length ----------------------------------------------------
 
-
-# Borders nearer than this coincide: islands are cut from one region, so only rounding parts them
-TOUCH_MM = 1e-6
+TOUCH_MM = (
+    1e-6  # borders nearer than this coincide: islands are cut from one region, so only rounding parts them
+)
 
 
 def shared_borders(islands: NDArray[np.object_]) -> tuple[Ints, Floats]:
@@ -272,9 +268,6 @@ def common_lengths(
     return result
 
 
-LEAST_TURN_DEG = 15.0  # directions closer than this count as one: a quarter of the usual turn, so that halves between always part
-# A smaller turn from island to island that is asked for parts directions by this share of it
-LEAST_SHARE = 0.25
 # Turns that are tried, in this order, in steps of the angle that is set
 STEPS = np.concatenate([np.arange(12.0) + part for part in (0.0, 0.5, 0.25, 0.75)])
 ROUNDING_DEG = 1e-6
@@ -288,7 +281,7 @@ def hatch_directions(found: Cells, spacing_mm: float, turn_deg: float, island_an
     width, _ = equivalent_rectangles_mm(found.polygons)
     narrow = width < spacing_mm
     angle = turn_deg + island_angle_deg * found.colour.astype(np.float64)
-    angle[narrow] = [long_direction_deg(island) for island in found.polygons[narrow]]
+    angle[narrow] = [math.degrees(long_direction_rad(island)) for island in found.polygons[narrow]]
     least = least_turn_deg(island_angle_deg)
     if least > ROUNDING_DEG:
         pairs, _ = shared_borders(found.polygons)
@@ -303,21 +296,16 @@ def hatch_directions(found: Cells, spacing_mm: float, turn_deg: float, island_an
 
 
 def least_turn_deg(island_angle_deg: float) -> float:
-    """Least angle between the hatches of two islands that touch."""
+    """Least angle between the hatches of two islands that touch: a quarter of the turn from island to island, so that halves between
+    always part, and of the usual turn at most."""
     turn = float(turn_between_deg(np.float64(island_angle_deg), np.float64(0.0)))
-    return min(LEAST_TURN_DEG, LEAST_SHARE * turn)
+    return min(15.0, 0.25 * turn)
 
 
 def turn_between_deg(first: Floats | np.float64, second: Floats | np.float64) -> Floats:
     """Angle between two directions of lines, 0 to 90."""
     turn = np.abs(first - second) % 180.0
     return np.asarray(np.minimum(turn, 180.0 - turn), np.float64)
-
-
-def long_direction_deg(island: shapely.Polygon) -> float:
-    """Direction of the long side of the smallest rectangle around an island."""
-    hull = shapely.get_coordinates(shapely.convex_hull(island))
-    return math.degrees(minimum_rectangle(hull).angle_rad) + 90.0
 
 
 def _clashing(pairs: Ints, angle: Floats, narrow: Bools, area: Floats, least_deg: float) -> list[int]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
@@ -21,14 +22,13 @@ from ebamcheck.kernels import Floats, Ints
 from ebamcheck.settings.config import Config
 
 SQRT3 = math.sqrt(3.0)
-# The rule gives one hexagon where L1 < d/2; a single shifted one would then miss half of the rectangle
-LEAST_ACROSS = 3
-# Islands that an ordinary layer is divided into: enough to spread the heat, few enough wire starts
-ZONES = 60
+ZONES = (
+    60  # islands that an ordinary layer is divided into: enough to spread the heat, few enough wire starts
+)
 # Fewest and most beads across a hexagon: under 4 the ends of beads rule the island, over 12 its lines grow as long as those to be avoided
 BEADS_ACROSS = (4, 12)
 ROUNDING = 1e-12  # relative rounding of a length that must not cost a row of hexagons
-HEXAGON, SQUARE, STRIPE = "hexagon", "square", "stripe"  # kinds of cells
+HEXAGON = "hexagon"  # kind of cells
 MOST_CELLS = 1_000_000  # more cells than this on one layer are a mistyped side
 
 
@@ -56,7 +56,8 @@ def hexagons_across(short_mm: float, side_mm: float) -> int:
     (11, 13)
     """
     count = math.floor(short_mm / side_mm + 0.5) + 1
-    return max(count + 1 - count % 2, LEAST_ACROSS)
+    # The rule gives one hexagon where L1 < d/2; a single shifted one would then miss half of the rectangle.
+    return max(count + 1 - count % 2, 3)
 
 
 def rows_along(long_mm: float, side_mm: float) -> int:
@@ -67,9 +68,7 @@ def rows_along(long_mm: float, side_mm: float) -> int:
 def hexagon_lattice(rectangle: Rectangle, side_mm: float) -> Lattice:
     """Lay hexagons of a given side over all of a rectangle; raises SettingsError for more than :data:`MOST_CELLS`."""
     across = hexagons_across(rectangle.short_mm, side_mm)
-    rows = rows_along(rectangle.long_mm, side_mm)
-    _check_count(across, rows, rectangle, side_mm)
-    row, column = (grid.ravel() for grid in np.mgrid[0:rows, 0:across])
+    row, column = _numbers(across, rows_along(rectangle.long_mm, side_mm), rectangle, side_mm)
     # Half steps of sqrt(3)/2 d along L1 and of d/2 along L2: corners of neighbours are the same integers.
     half = 2 * column - (across - 1) + row % 2
     third = 3 * row
@@ -90,19 +89,17 @@ def square_lattice(rectangle: Rectangle, side_mm: float) -> Lattice:
     """Lay squares as wide as hexagons of a given side over a rectangle, one centre on the midpoint of L1, as with hexagons; errors
     likewise."""
     across = _count_over(rectangle.short_mm, SQRT3 * side_mm)
-    return _boxes(rectangle, side_mm, SQUARE, across + 1 - across % 2, SQRT3 * side_mm)
+    return _boxes(rectangle, side_mm, "square", across + 1 - across % 2, SQRT3 * side_mm)
 
 
 def stripe_lattice(rectangle: Rectangle, side_mm: float) -> Lattice:
     """Lay stripes as wide as hexagons of a given side across a rectangle, from one long side to the other; errors likewise."""
-    return _boxes(rectangle, side_mm, STRIPE, 1, max(rectangle.short_mm, SQRT3 * side_mm))
+    return _boxes(rectangle, side_mm, "stripe", 1, max(rectangle.short_mm, SQRT3 * side_mm))
 
 
 def _boxes(rectangle: Rectangle, side_mm: float, kind: str, across: int, length_mm: float) -> Lattice:
     """Rows of boxes, an odd number of them across, each `length_mm` long along L1."""
-    rows = _count_over(rectangle.long_mm, SQRT3 * side_mm)
-    _check_count(across, rows, rectangle, side_mm)
-    row, column = (grid.ravel() for grid in np.mgrid[0:rows, 0:across])
+    row, column = _numbers(across, _count_over(rectangle.long_mm, SQRT3 * side_mm), rectangle, side_mm)
     along, up = 2 * column - (across - 1), 2 * row + 1
     steps_mm = 0.5 * length_mm, 0.5 * SQRT3 * side_mm
     right, above = np.array([-1, 1, 1, -1]), np.array([-1, -1, 1, 1])
@@ -116,12 +113,15 @@ def _count_over(length_mm: float, cell_mm: float) -> int:
     return max(1, math.ceil(length_mm / cell_mm - ROUNDING))
 
 
-def _check_count(across: int, rows: int, rectangle: Rectangle, side_mm: float) -> None:
+def _numbers(across: int, rows: int, rectangle: Rectangle, side_mm: float) -> tuple[Ints, Ints]:
+    """Row and column of each cell, row by row; raises SettingsError for too many cells."""
     if across * rows > MOST_CELLS:
         raise SettingsError(
             f"scan.hexagon_side_mm {side_mm:g} lays {across} x {rows} cells over one layer of "
             f"{rectangle.short_mm:g} x {rectangle.long_mm:g} mm, over the limit of {MOST_CELLS}: give a larger side"
         )
+    row, column = np.mgrid[0:rows, 0:across]
+    return row.ravel(), column.ravel()
 
 
 def _place(
@@ -155,16 +155,10 @@ def planned_side_mm(area_mm2: float, perimeter_mm: float, spacing_mm: float) -> 
     return min(max(round(width / spacing_mm), fewest), most) * spacing_mm / SQRT3
 
 
-# -- Where the lattice lies on each layer: along the smallest rectangle, then shifted and turned from layer
-# to layer. Borders of islands that lay over each other would grow into walls of lack of fusion through the part. So each layer turns the lattice on,
-# which leaves borders of two layers at most points in common, and shifts it, so that layers whose turns are alike again do not repeat it. The lowest
+# -- Where the lattice lies on each layer: along the smallest rectangle, then shifted and turned from layer to layer. Borders of islands
+# that lay over each other would grow into walls of lack of fusion through the part. So each layer turns the lattice on, which leaves
+# borders of two layers at most points in common, and shifts it, so that layers whose turns are alike again do not repeat it. The lowest
 # layer has the lattice of the paper.
-
-
-# Real root of x^3 = x + 1, whose inverse and its square spread pairs of fractions evenly (M. Roberts, 2018: the sequence R2)
-PLASTIC = 1.324717957244746
-# Rows of hexagons repeat along L2 after so many sides d; squares and stripes after less, so that they are shifted over their whole period, too
-ROWS_REPEAT = 3.0
 
 
 def layer_place(points: ArrayLike, side_mm: float, config: Config, layer: int) -> Rectangle:
@@ -179,12 +173,15 @@ def layer_place(points: ArrayLike, side_mm: float, config: Config, layer: int) -
     if not config.scan.lattice_shift or layer == 0:
         return around
     first, second = shift_shares(layer)
-    return shifted(around, (first - 0.5) * SQRT3 * side_mm, second * ROWS_REPEAT * side_mm)
+    # Rows of hexagons repeat along L2 after three sides d; squares and stripes after less, so that all are shifted over their period.
+    return shifted(around, (first - 0.5) * SQRT3 * side_mm, second * 3.0 * side_mm)
 
 
 def shift_shares(layer: int) -> tuple[float, float]:
     """Shift of a layer's lattice along L1 and L2, as shares of its periods, each in [0, 1)."""
-    return layer / PLASTIC % 1.0, layer / PLASTIC**2 % 1.0
+    # Real root of x^3 = x + 1, whose inverse and its square spread pairs of fractions evenly (M. Roberts, 2018: the sequence R2).
+    plastic = 1.324717957244746
+    return layer / plastic % 1.0, layer / plastic**2 % 1.0
 
 
 def shifted(rectangle: Rectangle, along_short_mm: float, along_long_mm: float) -> Rectangle:
@@ -193,11 +190,6 @@ def shifted(rectangle: Rectangle, along_short_mm: float, along_long_mm: float) -
     x, y = rectangle.to_world(along_short_mm, -0.5 * along_long_mm).tolist()
     short_mm, long_mm = rectangle.short_mm + 2.0 * abs(along_short_mm), rectangle.long_mm + along_long_mm
     return Rectangle(x, y, rectangle.angle_rad, short_mm, long_mm)
-
-
-PAPER_STEPS = 10  # the paper turns the envelope in steps of pi/10 (equation 11)
-AT_ONCE = 1_000_000  # corners times directions of a hull that are worked out together, about
-TIE = 1e-12  # relative difference of area under which two rectangles count as equal; the first one is kept
 
 
 @dataclass(frozen=True)
@@ -239,16 +231,23 @@ def minimum_rectangle(points: ArrayLike, method: Literal["paper", "exact"] = "ex
         )
     hull = _convex_hull(column)
     if method == "paper":
-        angles = np.arange(PAPER_STEPS) * (math.pi / PAPER_STEPS)
+        angles = np.arange(10) * (math.pi / 10)
         boxes = _envelopes(hull, np.stack([np.cos(angles), np.sin(angles)], axis=-1))
     else:
         edges = np.roll(hull, -1, axis=0) - hull
         lengths = np.hypot(edges[:, 0], edges[:, 1])
         directions = edges[lengths > 0] / lengths[lengths > 0, None]
-        parts = np.array_split(directions, max(1, len(hull) * len(directions) // AT_ONCE))
+        # About a million corners times directions are worked out together.
+        parts = np.array_split(directions, max(1, len(hull) * len(directions) // 1_000_000))
         any_way = np.array([[1.0, 0.0]])
         boxes = np.concatenate([_envelopes(hull, part if len(part) else any_way) for part in parts])
     return _smallest(boxes)
+
+
+@lru_cache(maxsize=256)
+def long_direction_rad(island: shapely.Polygon) -> float:
+    """Direction of the long side of the smallest rectangle around an island, which is asked for twice where it is narrow."""
+    return minimum_rectangle(shapely.get_coordinates(shapely.convex_hull(island))).angle_rad + 0.5 * math.pi
 
 
 def rectangle_along(points: ArrayLike, angle_rad: float) -> Rectangle:
@@ -279,7 +278,7 @@ def _envelopes(hull: Floats, directions: Floats) -> Floats:
 def _smallest(boxes: Floats) -> Rectangle:
     """The box of least area, among equal ones the first, its sides named by their length and its direction in [0, pi)."""
     areas = (boxes[:, 3] - boxes[:, 2]) * (boxes[:, 5] - boxes[:, 4])
-    k = int(np.flatnonzero(areas <= areas.min() * (1.0 + TIE))[0])
+    k = int(np.flatnonzero(areas <= areas.min() * (1.0 + 1e-12))[0])
     ux, uy, amin, amax, bmin, bmax = boxes[k].tolist()
     a, b = 0.5 * (amin + amax), 0.5 * (bmin + bmax)
     x, y = ux * a - uy * b, uy * a + ux * b

@@ -22,20 +22,16 @@ from ebamcheck.scan.filling.schedule import JOINED_MM, IslandSchedule, gaps_mm, 
 NEAREST = -1  # entry option of an island that is entered from its corner nearest to where the last one ended
 HIGH = 12  # exponent of :func:`high_mean`: a maximum alone would see no gain until the very hottest island is cooler
 ROUNDS = 3  # rounds of choosing ends, each with the heat of islands as driven by those of the round before
-# Prices of a millimetre, in powers of the greatest rise, that the search begins with: by the dearest travel alone counts, by the cheapest heat
-DEAREST, CHEAPEST = 1e15, 1e-15
-HALVINGS = 50  # halvings of the range of prices, on a scale of decades: to 4 %
 TIE = 1e-12  # sums closer than this share are equal: rounding must not decide between ends that mirror each other
 
 # -- The way from island to island.
 
 
 class EntryOptions(NamedTuple):
-    """Jumps (I, 4, I) from an island that was entered by one of its options to the nearest option of another, mm, and which that
-    is."""
+    """The way from an island that was entered by one of its options to another one, (I, 4, I) each."""
 
-    jump_mm: Floats
-    option: NDArray[np.int8]
+    jump_mm: Floats  # to the nearest option of the other
+    option: NDArray[np.int8]  # the nearest option
 
 
 def entry_options(schedule: IslandSchedule) -> EntryOptions:
@@ -178,12 +174,15 @@ def affordable(rise_k: Floats, order: Ints, entry: Floats, leave: Floats, longes
     """Entry options (I,) of the least high mean of rises (I, 4) whose travel is allowed; those of the least travel if none is."""
     top_k = float(rise_k.min(axis=1).max())
     share = np.maximum(rise_k, 0.0) / (top_k if top_k > 0.0 else 1.0)
-    low, high = np.log(CHEAPEST), np.log(DEAREST)
-    options, travel_mm = options_by_price(share, order, entry, leave, CHEAPEST)
+    # Prices of a millimetre, in powers of the greatest rise: by the cheapest heat alone counts, by the dearest travel.
+    cheapest, dearest = 1e-15, 1e15
+    options, travel_mm = options_by_price(share, order, entry, leave, cheapest)
     if travel_mm <= longest_mm:
         return options
-    options, _ = options_by_price(share, order, entry, leave, DEAREST)
-    for _ in range(HALVINGS):
+    options, _ = options_by_price(share, order, entry, leave, dearest)
+    low, high = np.log(cheapest), np.log(dearest)
+    # On a scale of decades, to 4 %.
+    for _ in range(50):
         middle = 0.5 * (low + high)
         tried, travel_mm = options_by_price(share, order, entry, leave, float(np.exp(middle)))
         if travel_mm <= longest_mm:

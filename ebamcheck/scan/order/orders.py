@@ -30,10 +30,7 @@ from ebamcheck.scan.order.entries import NEAREST, clocked, cool_options
 from ebamcheck.scan.order.search import greedy_order, thermal_order, touching
 from ebamcheck.settings.config import Config
 
-LAST, ANY, SUM, FARTHEST = 0, 1, 2, 3  # rules of :func:`greedy`
-NO_LINES = Vectors(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2)))
-# Distances closer than this are equal: a lattice is full of ties, which rounding must not decide
-TIE_MM = 1e-6
+LAST, ANY, SUM, FARTHEST = 0, 1, 2, 3  # rules of orders by distance
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +76,7 @@ class LayerIslands:
 
     def with_fresh_heat(self, modes: IslandHeat) -> IslandHeat:
         """Add the fresh heat between these islands to a heat model of the layer that has its modes alone."""
-        lines = NO_LINES if self.lines is None else self.lines
+        lines = self.lines or Vectors(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2)))
         columns, entry = (lines.island, lines.start, lines.end), self.known_schedule.entry
         return with_fresh_heat(modes, entry, columns, self.section, self.polygons, self.config)
 
@@ -123,8 +120,6 @@ def scan_order(name: str | Order, islands: LayerIslands, heat: IslandHeat | None
 def needs_heat(name: str | Order) -> bool:
     """Whether an order asks the heat model: what it says itself, and no for one that says nothing.
 
-    Examples
-    --------
     >>> needs_heat("raster"), needs_heat("thermal")
     (False, True)
     """
@@ -147,7 +142,19 @@ def _seeded_start(islands: LayerIslands) -> int:
 
 
 def _by_distance(islands: LayerIslands, rule: int) -> Ints:
-    return greedy(islands.centroid, _seeded_start(islands), rule)
+    """Islands one by one by their distance to those taken; among equal ones, the first."""
+    centroid, order = islands.centroid, [_seeded_start(islands)]
+    sign = -1.0 if rule == FARTHEST else 1.0
+    left = np.full(len(centroid), True)
+    score = np.zeros(len(centroid)) if rule == SUM else np.full(len(centroid), np.inf)
+    while len(order) < len(centroid):
+        left[order[-1]] = False
+        distance = np.hypot(*(centroid - centroid[order[-1]]).T)
+        score = distance if rule == LAST else score + distance if rule == SUM else np.minimum(score, distance)
+        signed = np.where(left, sign * score, np.inf)
+        # A lattice is full of ties, which rounding must not decide.
+        order.append(int(np.argmax(signed < signed.min() + 1e-6)))
+    return np.array(order, np.int64)
 
 
 nearest_any = partial(_by_distance, rule=ANY)  # next the island nearest to any processed one
@@ -217,20 +224,6 @@ def chosen_options(
         known = islands.cold_heat() if heat is None else heat
         return cool_options(known, islands.known_schedule, order, rapid, longest_travel_mm(islands))
     return np.full(len(order), NEAREST, np.int64)
-
-
-def greedy(centroid: Floats, first: int, rule: int) -> Ints:
-    """Take islands one by one by their distance to those taken; among equal ones, the first."""
-    sign = -1.0 if rule == FARTHEST else 1.0
-    order, left = [first], np.full(len(centroid), True)
-    score = np.zeros(len(centroid)) if rule == SUM else np.full(len(centroid), np.inf)
-    while len(order) < len(centroid):
-        left[order[-1]] = False
-        distance = np.hypot(*(centroid - centroid[order[-1]]).T)
-        score = distance if rule == LAST else score + distance if rule == SUM else np.minimum(score, distance)
-        signed = np.where(left, sign * score, np.inf)
-        order.append(int(np.argmax(signed < signed.min() + TIE_MM)))
-    return np.array(order, np.int64)
 
 
 LEAST_HEAT = HeatOrder(least_heat)

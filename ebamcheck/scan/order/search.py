@@ -70,12 +70,10 @@ def thermal_order(
         k_mm, first = price
         return greedy_order(heat, schedule, beside, rapid_mm_s, first, k_mm, k_mm * start_travel_mm)
 
-    plans = run_each(greedy, tries)
-
     def rank(order: Ints) -> tuple[int, float, float]:
         return ranked(heat, schedule, beside, rapid_mm_s, order, longest_mm)
 
-    best = min(plans, key=rank)
+    least, best = min(((rank(order), order) for order in run_each(greedy, tries)), key=lambda plan: plan[0])
     if moves == 0:
         return best
     _, end_s, travel_mm = clocked(schedule, best, rapid_mm_s)
@@ -87,7 +85,7 @@ def thermal_order(
     leniency = warmth * random.exponential(size=moves) * np.linspace(1.0, 0.0, moves)
     logs = new_log(count), new_log(count)
     tried = improved(layer, best, longest_mm, price_k_mm, places, leniency, *logs)
-    return min(best, tried, key=rank)
+    return tried if rank(tried) < least else best
 
 
 def own_rise(heat: IslandHeat, schedule: IslandSchedule) -> Floats:
@@ -178,10 +176,10 @@ def greedy_order(
     count, columns = len(schedule), (schedule.entry, schedule.leave, schedule.time_s, rapid_mm_s)
     late = heat.modes.late(heat.fresh.horizon_s)
     layer = _Heated(heat.modes, late, heat.fresh, beside, *columns, price_k_mm, start_k)
-    plan = _Greedy(
-        np.empty(count, np.int64), np.empty(count), np.empty(count), np.zeros(count, np.int64),
-        np.zeros(count, np.bool_), np.empty(count), np.empty(count), np.empty(count),
-    )  # fmt: skip
+    order, option = np.zeros((2, count), np.int64)
+    start_s, end_s, jump_mm, mean_k, entry_k = np.zeros((5, count))
+    scanned = np.zeros(count, np.bool_)
+    plan = _Greedy(order, start_s, end_s, option, scanned, jump_mm, mean_k, entry_k)
     # No jump is longer than both sides of the bounding rectangle.
     latest_s = float(np.ptp(schedule.entry, axis=(0, 1)).sum()) / rapid_mm_s
     coolest_first(layer, plan, first, heat.modes.mean.copy(), heat.start_k, latest_s)

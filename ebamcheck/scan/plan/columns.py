@@ -64,8 +64,7 @@ METRICS = {
     "leave_k": "the same when it is done, at most the boiling point, the end of the model's range, as the other temperatures",
 }
 
-# What the metadata tell of the file; a reader refuses any other version
-NAME, VERSION = "ebamcheck scan plan", 3
+NAME, VERSION = "ebamcheck scan plan", 3  # in the metadata of the file; a reader refuses any other version
 HEADER_KEY = b"ebamcheck"
 LINE_COLUMNS = ("x0", "y0", "x1", "y1", "angle")
 _OF_LAYER = ("height_mm", "section", "metrics")
@@ -86,9 +85,6 @@ _OF_ISLAND = {
 _OF_LINE = dict.fromkeys(LINE_COLUMNS, _NUMBERS)
 # Pairs of islands of the layer that have a common border, and its length
 _OF_BORDER = {"border_first": _COUNTS, "border_second": _COUNTS, "border_mm": _NUMBERS}
-_LISTS = {**_OF_ISLAND, **_OF_LINE, **_OF_BORDER}
-# Colours of hatch lines and contour beads
-LINE, CONTOUR = "#555555", "#d55e00"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -173,18 +169,13 @@ class PlannedLayer:
 
         parts = [(island.rank, part) for island in self for part in shapely.get_parts(island.polygon)]
         parts = [(rank, part) for rank, part in parts if part.geom_type == "Polygon"]
+        areas = [shapely.get_coordinates(part.exterior) for _, part in parts]
         ends = self.plan.vectors_of(self.index)[["x0", "y0", "x1", "y1"]].to_numpy()
         borders = shapely.get_parts(shapely.boundary(self.contours))
-        return plot_areas(
-            [shapely.get_coordinates(part.exterior) for _, part in parts],
-            [rank for rank, _ in parts],
-            [
-                Lines(list(ends.reshape(-1, 2, 2)), LINE, 0.5),
-                Lines([shapely.get_coordinates(border) for border in borders], CONTOUR),
-            ],
-            f"layer {self.index + 1}, {short_text.counted(len(self), 'island')}",
-            ax,
-        )
+        contours = [shapely.get_coordinates(border) for border in borders]
+        lines = [Lines(list(ends.reshape(-1, 2, 2)), "#555555", 0.5), Lines(contours, "#d55e00")]
+        title = f"layer {self.index + 1}, {short_text.counted(len(self), 'island')}"
+        return plot_areas(areas, [rank for rank, _ in parts], lines, title, ax)
 
     def __repr__(self) -> str:
         covered = self.metrics.get("covered_fraction", float("nan"))
@@ -346,7 +337,7 @@ def _columns(plan: ScanPlan) -> dict[str, pa.Array]:
     lists |= {name: (plan.vectors[name].to_numpy()[by_island], line_starts) for name in LINE_COLUMNS}
     borders = (pairs[:, 0], pairs[:, 1], plan.border_mm)
     lists |= {name: (values, pair_starts) for name, values in zip(_OF_BORDER, borders, strict=True)}
-    return columns | arrow_columns(lists, _LISTS)
+    return columns | arrow_columns(lists, {**_OF_ISLAND, **_OF_LINE, **_OF_BORDER})
 
 
 def _well_known(regions: NDArray[np.object_]) -> pa.LargeBinaryArray:

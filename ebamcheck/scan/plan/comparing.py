@@ -23,7 +23,7 @@ from ebamcheck.scan.order.entries import (
     nearest_options,
     rises_at_entries,
 )
-from ebamcheck.scan.order.orders import LayerIslands, chosen_options, needs_heat, scan_order
+from ebamcheck.scan.order.orders import LayerIslands, needs_heat
 from ebamcheck.scan.order.search import touching, touching_successors
 from ebamcheck.scan.plan.columns import ScanPlan
 from ebamcheck.scan.plan.laying import LaidLayer, lay_islands
@@ -70,13 +70,16 @@ class OrderResult:
         """Figures as :data:`FIGURES` names them."""
         row = self.plan.metrics.iloc[0]
         of_plan = ("islands", "interval_p10_s", "interval_min_s", "starts", "time_s")
-        found = dict.fromkeys(FIGURES, math.nan) | {name: float(row[name]) for name in of_plan}
-        found["travel_mm"] = self.travel_mm
+        figures = dict.fromkeys([name for name in FIGURES if name not in ("order", "seeds")], math.nan)
+        figures |= {name: float(row[name]) for name in of_plan} | {"travel_mm": self.travel_mm}
         if len(self.entry_k):
-            found |= {"entry_max_k": float(self.entry_k.max()), "entry_sd_k": float(self.entry_k.std())}
-            found |= {"entry_point_max_k": float(self.point_k.max()), "touching": float(self.touching.mean())}
-            found["excess_uniformity"] = float(self.excess.mean())
-        return {name: found[name] for name in FIGURES if name not in ("order", "seeds")}
+            figures |= {"entry_max_k": float(self.entry_k.max()), "entry_sd_k": float(self.entry_k.std())}
+            figures |= {
+                "entry_point_max_k": float(self.point_k.max()),
+                "touching": float(self.touching.mean()),
+            }
+            figures["excess_uniformity"] = float(self.excess.mean())
+        return figures
 
 
 def compared_orders() -> tuple[str, ...]:
@@ -175,13 +178,11 @@ class OrderComparison:
         """Plan one order and simulate it."""
         islands = self.islands if seed == self.islands.seed else self.laid.choices(self.config, seed)
         known = self.planning_heat if needs_heat(name) and len(islands) > 1 else None
-        order = scan_order(name, islands, known)
-        options = chosen_options(name, islands, order, known)
-        plan = stack_plans([OrderedLayer(self.laid, islands, order, options)], self.config, name, seed)
+        ordered = OrderedLayer.of(name, self.laid, islands, known)
+        order, options = ordered.order, ordered.options
+        plan = stack_plans([ordered], self.config, name, seed)
         simulated = simulate_order(plan, self.config)
-        count = len(order)
-        rank = np.empty(count, np.int64)
-        rank[order] = np.arange(count)
+        rank = np.argsort(order)
         if self.heat is None:
             nothing, none = np.zeros(0), np.zeros(0, np.bool_)
             return OrderResult(plan, rank, nothing, nothing, nothing, nothing, nothing, none, 0.0)
@@ -191,20 +192,13 @@ class OrderComparison:
         by_island = np.argsort(simulated["island"].to_numpy())
         begins, ends = start_s.to_numpy()[by_island], end_s.to_numpy()[by_island]
         entry_k, excess = entry_temperatures(self.heat, islands.area_mm2, order, begins, ends)
-        point_k = self._points_k(islands, order, options, begins, ends)
-        hot = np.empty(count, np.bool_)
-        hot[order] = touching_successors(touching(islands.neighbours, count), order)
-        travel_mm = float(simulated["travel_mm"].sum())
-        return OrderResult(plan, rank, begins, ends, entry_k, point_k, excess, hot, travel_mm)
-
-    def _points_k(
-        self, islands: LayerIslands, order: Ints, options: Ints, start_s: Floats, end_s: Floats
-    ) -> Floats:
-        """Temperature rises (I,) under the beam where it enters the islands."""
-        assert self.heat is not None
         schedule = islands.known_schedule
         if (options < 0).any():
             options = nearest_options(order, schedule.entry, schedule.leave)
         modes = modes_at_entries(self.heat, schedule)
-        rises_k = rises_at_entries(self.heat, modes, order, start_s, end_s, options)
-        return np.asarray(rises_k[np.arange(len(order)), options], np.float64)
+        points_k = rises_at_entries(self.heat, modes, order, begins, ends, options)[
+            np.arange(len(order)), options
+        ]
+        hot = touching_successors(touching(islands.neighbours, len(order)), order)[rank]
+        travel_mm = float(simulated["travel_mm"].sum())
+        return OrderResult(plan, rank, begins, ends, entry_k, points_k, excess, hot, travel_mm)

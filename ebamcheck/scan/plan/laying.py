@@ -9,7 +9,7 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
-from ebamcheck.heat import HeatModel
+from ebamcheck.geometry.raster import each_of
 from ebamcheck.heat.island_heat import IslandHeat
 from ebamcheck.heat.part_heat import Beads, uneven
 from ebamcheck.kernels import Floats, Ints
@@ -67,44 +67,32 @@ def lay_islands(
     section: BaseGeometry, config: Config, layer: int, height_mm: float, contour: BaseGeometry | None = None
 ) -> LaidLayer:
     """Divide one valid section into islands and fill them; `contour` as of :func:`layer_regions`."""
-    regions = layer_regions(section, config, contour)
-    side = _side_mm(regions, config)
-    filled = fill_layer(regions, _partition(regions, side, config, layer), config, layer)
-    neighbours, border = shared_borders(filled.islands)
-    centroid = cells.centroids(filled.islands)
+    regions, process = layer_regions(section, config, contour), config.process
+    solids, side_mm = regions.solids, math.nan
+    if solids:
+        # The side of the hexagons that is set, else planned from the solids.
+        area, border = float(shapely.area(solids).sum()), float(shapely.length(solids).sum())
+        side_mm = config.scan.hexagon_side_mm or planned_side_mm(area, border, process.hatch_spacing_mm)
+    if config.scan.partition == "whole" or not solids:
+        divided = cells.undivided(solids)
+    else:
+        place = layer_place(shapely.get_coordinates(section), side_mm, config, layer)
+        lattice = LATTICES[config.scan.partition](place, side_mm)
+        divided = cells.partition(solids, lattice, process.bead_width_mm, process.hatch_spacing_mm)
+    filled = fill_layer(regions, divided, config, layer)
+    neighbours, border_mm = shared_borders(filled.islands)
     return LaidLayer(
         **vars(filled),
         layer=layer,
         height_mm=height_mm,
-        side_mm=side,
+        side_mm=side_mm,
         regions=regions,
-        centroid=centroid,
+        centroid=shapely.get_coordinates(shapely.centroid(filled.islands)),
         neighbours=neighbours,
-        border_mm=border,
+        border_mm=border_mm,
     )
 
 
-def _side_mm(regions: Regions, config: Config) -> float:
-    """Side of the hexagons: the one set, else planned from the solids; NaN without a solid."""
-    if not regions.solids:
-        return math.nan
-    if config.scan.hexagon_side_mm is not None:
-        return config.scan.hexagon_side_mm
-    area, border = float(shapely.area(regions.solids).sum()), float(shapely.length(regions.solids).sum())
-    return planned_side_mm(area, border, config.process.hatch_spacing_mm)
-
-
-def _partition(regions: Regions, side_mm: float, config: Config, layer: int) -> cells.Cells:
-    """Lay the cells of the partition over the section and clip them to its solids."""
-    if config.scan.partition == "whole" or not regions.solids:
-        return cells.undivided(regions.solids)
-    place = layer_place(shapely.get_coordinates(regions.section), side_mm, config, layer)
-    lattice = LATTICES[config.scan.partition](place, side_mm)
-    process = config.process
-    return cells.partition(regions.solids, lattice, process.bead_width_mm, process.hatch_spacing_mm)
-
-
-PIECE_BEADS = 1.0  # length of the pieces in which contours are heated, over the width of a bead: no mode changes within less
 # A move with the beam off of at most this many bead spacings stays at the layer's height; a longer one rises, as the program has it
 NEAR_SPACINGS = 2.0
 
@@ -122,12 +110,23 @@ class ContourBeads:
 
 def contour_beads(laid: LaidLayer, config: Config, heat: IslandHeat | None) -> ContourBeads:
     """Put the contours of a layer in sequence; `heat` as for :func:`bead_sequence`."""
-    rings = _rings(laid)
-    ring_mm, piece_mm = np.array([ring.length for ring in rings]), PIECE_BEADS * config.process.bead_width_mm
-    count = np.maximum(1, np.rint(ring_mm / piece_mm)).astype(np.int64)
+    rings = []
+    for ring in shapely.get_rings(shapely.get_parts(laid.regions.contour)):
+        points = shapely.get_coordinates(ring)[:-1]
+        least = int(np.lexsort((points[:, 1], points[:, 0]))[0])
+        rings.append(shapely.LinearRing(np.roll(points, -least, axis=0)))
+    rings.sort(key=lambda ring: ring.coords[0])
+    # Pieces as long as a bead is wide: no mode changes within less.
+    ring_mm = np.array([ring.length for ring in rings])
+    count = np.maximum(1, np.rint(ring_mm / config.process.bead_width_mm)).astype(np.int64)
     ring_mm += np.minimum(config.process.overlap_mm, ring_mm)
     apart_mm = shapely.distance(np.array(rings[:-1], object), np.array(rings[1:], object))
-    pieces = _along(rings, count, None if heat is None else heat.model)
+    pieces = np.zeros((0 if heat is None else len(heat.modes.plane_rate), int(count.sum())))
+    if heat is not None and rings:
+        line, number = each_of(count)
+        share = (number + 0.5) / count[line]
+        middles = shapely.line_interpolate_point(np.array(rings, object)[line], share, normalized=True)
+        pieces = uneven(heat.model.plane.at(shapely.get_coordinates(middles)).T, heat.model)
     return ContourBeads(rings, pieces, count, ring_mm, np.asarray(apart_mm, np.float64))
 
 
@@ -152,7 +151,12 @@ def bead_sequence(
         columns.append(uneven(heat.modes.mean[:, island], heat.model))
         times.append(bead_mm / speed)
         shares.append(mean_power(bead_mm, config.process))
-    move_mm = np.concatenate([_to_rings(contours, start), np.hypot(*(start[1:] - end[:-1]).T)])
+    # The shortest ways to each contour, from the last one to the first island, and between islands; to the first bead none is known.
+    last = contours.rings[-1:] if len(start) else []
+    to_island_mm = [shapely.distance(ring, shapely.Point(start[0])) for ring in last]
+    none_known = np.zeros(min(1, rings + len(start)))
+    between_mm = np.hypot(*(start[1:] - end[:-1]).T)
+    move_mm = np.concatenate([none_known, contours.apart_mm, np.array(to_island_mm, np.float64), between_mm])
     up_and_down_mm = 2.0 * config.machine.safe_height_mm
     far = move_mm > NEAR_SPACINGS * config.process.hatch_spacing_mm
     far[:1] = True
@@ -177,8 +181,6 @@ def bead_sequence(
 def mean_power(bead_mm: Floats, process: ProcessSettings) -> Floats:
     """Mean power of beads (n,) over the full one: on a ramp it is half-way between its ends, see `process.ramp_up_mm`.
 
-    Examples
-    --------
     >>> mean_power(np.array([20.0, 5.0]), ProcessSettings(ramp_up_mm=6.0, crater_fill_mm=4.0, ramp_power=0.5))
     array([0.875, 0.75 ])
     """
@@ -200,36 +202,3 @@ def _island_path(
     ends = np.append(begins[1:], len(island)) - 1
     bead_mm = np.add.reduceat(np.hypot(*(b - a).T) + turn, begins)
     return island[begins], a[begins], b[ends], bead_mm
-
-
-def _to_rings(contours: ContourBeads, entry: Floats) -> Floats:
-    """Shortest ways to each contour and from the last one to the first island, mm; to the first bead none is known."""
-    last = contours.rings[-1:] if len(entry) else []
-    to_island = [shapely.distance(ring, shapely.Point(entry[0])) for ring in last]
-    none_known = np.zeros(min(1, len(contours.rings) + len(entry)))
-    return np.concatenate([none_known, contours.apart_mm, np.array(to_island, np.float64)])
-
-
-def _rings(laid: LaidLayer) -> list[shapely.LinearRing]:
-    """Centre lines of the contour beads from their least points on, in the canonical sequence of rings."""
-    parts = shapely.get_parts(laid.regions.contour)
-    rings = [ring for part in parts for ring in (part.exterior, *part.interiors)]
-    turned = []
-    for ring in rings:
-        points = shapely.get_coordinates(ring)[:-1]
-        least = int(np.lexsort((points[:, 1], points[:, 0]))[0])
-        turned.append(shapely.LinearRing(np.roll(points, -least, axis=0)))
-    return sorted(turned, key=lambda ring: ring.coords[0])
-
-
-def _along(rings: list[shapely.LinearRing], count: Ints, model: HeatModel | None) -> Floats:
-    """Modes (K, P) in the middles of the pieces of rings, less their means over the section."""
-    if model is None:
-        return np.zeros((0, int(count.sum())))
-    places = [
-        shapely.line_interpolate_point(ring, (np.arange(n) + 0.5) / n, normalized=True)
-        for ring, n in zip(rings, count, strict=True)
-    ]
-    if not places:
-        return np.zeros((len(model.plane.eigenvalue), 0))
-    return uneven(model.plane.at(shapely.get_coordinates(np.concatenate(places))).T, model)

@@ -34,6 +34,18 @@ def stack_plans(planned: Sequence[OrderedLayer], config: Config, order: str, see
     base = np.cumsum([0] + [len(p.laid.islands) for p in planned])
     islands = _joined([p.laid.islands for p in planned], np.zeros(0, object))
     by_layer = list(zip(planned, base[:-1], strict=True))
+    start, end = (
+        _joined([getattr(p.lines, at) for p in planned], np.zeros((0, 2))) for at in ("start", "end")
+    )
+    x, y = (end - start).T
+    lines = np.column_stack([start, end, np.degrees(np.arctan2(y, x)) % 360.0])
+    vectors = pd.DataFrame(lines, columns=list(LINE_COLUMNS))
+    vectors.insert(0, "island", _joined([p.lines.island + b for p, b in by_layer], np.zeros(0, np.int64)))
+
+    def waits_s(name: str) -> Floats:
+        waits = [np.zeros(len(p.order)) if p.heat is None else getattr(p.heat, name) for p in planned]
+        return _joined(waits, np.zeros(0))
+
     plan = ScanPlan(
         heights=np.array([p.laid.height_mm for p in planned], np.float64),
         contours=cells.column([p.laid.regions.contour for p in planned]),
@@ -47,41 +59,25 @@ def stack_plans(planned: Sequence[OrderedLayer], config: Config, order: str, see
         neighbours=_joined([p.laid.neighbours + b for p, b in by_layer], np.zeros((0, 2), np.int64)),
         border_mm=_joined([p.laid.border_mm for p in planned], np.zeros(0)),
         order=_joined([p.order + b for p, b in by_layer], np.zeros(0, np.int64)),
-        vectors=_vector_table(by_layer),
+        vectors=vectors,
         metrics=pd.DataFrame(columns=list(METRICS)),
-        settings=_settings(config, order, seed),
-        island_wait_s=_joined([p.waits_s("island_wait_s") for p in planned], np.zeros(0)),
-        inner_wait_s=_joined([p.waits_s("inner_wait_s") for p in planned], np.zeros(0)),
+        settings={
+            "order": order,
+            "seed": seed,
+            "scan": config.scan.model_dump(mode="json", exclude={"order", "seed"}),
+            "bead_width_mm": config.process.bead_width_mm,
+            "bead_spacing": config.process.bead_spacing,
+            "travel_speed_mm_s": config.process.travel_speed_mm_s,
+            "rapid_mm_s": config.machine.rapid_mm_s,
+        },
+        island_wait_s=waits_s("island_wait_s"),
+        inner_wait_s=waits_s("inner_wait_s"),
     )
     return replace(plan, metrics=_measured(plan, planned, config))
 
 
 def _joined(columns: Sequence[NDArray[Any]], empty: NDArray[Any]) -> NDArray[Any]:
     return np.concatenate(columns) if columns else empty
-
-
-def _vector_table(by_layer: Sequence[tuple[OrderedLayer, Any]]) -> pd.DataFrame:
-    nothing = np.zeros((0, 2))
-    start = _joined([p.lines.start for p, _ in by_layer], nothing)
-    end = _joined([p.lines.end for p, _ in by_layer], nothing)
-    x, y = (end - start).T
-    columns = np.column_stack([start, end, np.degrees(np.arctan2(y, x)) % 360.0])
-    table = pd.DataFrame(columns, columns=list(LINE_COLUMNS))
-    table.insert(0, "island", _joined([p.lines.island + b for p, b in by_layer], np.zeros(0, np.int64)))
-    return table
-
-
-def _settings(config: Config, order: str, seed: int) -> dict[str, Any]:
-    """What shaped the plan."""
-    return {
-        "order": order,
-        "seed": seed,
-        "scan": config.scan.model_dump(mode="json", exclude={"order", "seed"}),
-        "bead_width_mm": config.process.bead_width_mm,
-        "bead_spacing": config.process.bead_spacing,
-        "travel_speed_mm_s": config.process.travel_speed_mm_s,
-        "rapid_mm_s": config.machine.rapid_mm_s,
-    }
 
 
 def _measured(plan: ScanPlan, planned: Sequence[OrderedLayer], config: Config) -> pd.DataFrame:
@@ -118,16 +114,13 @@ def _measured(plan: ScanPlan, planned: Sequence[OrderedLayer], config: Config) -
         "travel_mm": travel,
         "starts": total(simulated["starts"]).astype(np.int64),
         "time_s": (length + turn) / config.process.travel_speed_mm_s + travel / config.machine.rapid_mm_s,
-        "interval_p10_s": [float(np.quantile(v, EARLY)) if v.size else math.nan for v in spread],
+        "interval_p10_s": [float(np.quantile(v, 0.1)) if v.size else math.nan for v in spread],
         "interval_min_s": [float(v.min()) if v.size else math.nan for v in spread],
-        **{name: [math.nan if p.heat is None else getattr(p.heat, name) for p in planned] for name in HEAT},
+        **{name: [math.nan if p.heat is None else p.heat.figures[name] for p in planned] for name in HEAT},
     }
     if config.preheat.when != "off":
         values["preheat_passes"] = [0 if p.heat is None else p.heat.preheat_passes for p in planned]
     return pd.DataFrame(values, columns=[*METRICS, *(name for name in values if name not in METRICS)])
-
-
-# -- Plan layers: section -> islands and their lines -> order -> path ------------------------------------------
 
 
 def plan_scan(
@@ -172,8 +165,7 @@ def plan_scan(
     name, number = order or config.scan.order, config.scan.seed if seed is None else seed
     stack = Stack([layer_section(polygons)], np.array([height_mm], np.float64), [layer])
     asked = needs_heat(name)
-    carry = asked and config.scan.carry_heat
-    planned = ordered_layers(stack, config, name, number, carry=carry, simulated=asked)
+    planned = ordered_layers(stack, config, name, number, asked and config.scan.carry_heat, asked)
     return stack_plans(list(planned), config, name, number)
 
 
@@ -208,10 +200,6 @@ def plan_stack(
     return stack_plans(planned, config, name, number)
 
 
-# Quantile of the intervals between neighbours that is reported: the tenth that is the most rushed
-EARLY = 0.1
-
-
 def scheduled(plan: ScanPlan, config: Config) -> pd.DataFrame:
     """Lines of a plan with their `length_mm`, turn and jump before each with the beam on and off, `turn_mm` and `jump_mm`, whether
     each begins a `new_layer`, and when it is driven, `begin_s` and `end_s`, every layer from time 0."""
@@ -241,18 +229,17 @@ def simulate_order(plan: ScanPlan, config: Config) -> pd.DataFrame:
     `starts` of the wire; NaN times without lines."""
     driven = {str(name): values.to_numpy() for name, values in scheduled(plan, config).items()}
     island, jump = driven["island"], driven["jump_mm"]
-    new_island = np.diff(island, prepend=-1) != 0
-
+    first, last = (np.flatnonzero(np.diff(island, **side) != 0) for side in ({"prepend": -1}, {"append": -1}))
     count, order = len(plan.order), plan.order
-    first = np.flatnonzero(new_island)
-    last = np.flatnonzero(np.diff(island, append=-1) != 0)
     start_s, end_s, before = np.full(count, np.nan), np.full(count, np.nan), np.zeros(count)
     start_s[island[first]], end_s[island[first]] = driven["begin_s"][first], driven["end_s"][last]
     before[island[first]] = jump[first]
-    by_island = {name: driven[name] for name in ("length_mm", "turn_mm")}
-    by_island["inner_travel_mm"] = np.where(new_island, 0.0, jump)
-    by_island["starts"] = (jump > 0) | driven["new_layer"]
-    totals = {name: np.bincount(island, values, minlength=count)[order] for name, values in by_island.items()}
+    inner = jump.copy()
+    inner[first] = 0.0
+
+    def total(values: Floats) -> Floats:
+        return np.asarray(np.bincount(island, values, minlength=count)[order], np.float64)
+
     return pd.DataFrame(
         {
             "island": order,
@@ -261,7 +248,9 @@ def simulate_order(plan: ScanPlan, config: Config) -> pd.DataFrame:
             "start_s": start_s[order],
             "end_s": end_s[order],
             "travel_mm": before[order],
-            **{name: totals[name] for name in ("inner_travel_mm", "length_mm", "turn_mm")},
-            "starts": totals["starts"].astype(np.int64),
+            "inner_travel_mm": total(inner),
+            "length_mm": total(driven["length_mm"]),
+            "turn_mm": total(driven["turn_mm"]),
+            "starts": total((jump > 0) | driven["new_layer"]).astype(np.int64),
         }
     )

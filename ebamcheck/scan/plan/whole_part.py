@@ -3,6 +3,7 @@ islands."""
 
 from __future__ import annotations
 
+import itertools
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -28,7 +29,7 @@ from ebamcheck.threads import thread_count, worker_threads
 AHEAD = 8  # layers that are laid out and whose modes are found side by side, while those before them are put in order
 _Prepared = TypeVar("_Prepared")
 
-# Columns of a row of :func:`scan_part`: index of the layer, its height over the base plate, its islands, and figures of :class:`LayerHeat`
+# Columns of a row of :func:`scan_part`: index of the layer, its height over the base plate, its islands, and figures of its heat
 WHOLE_PART = (
     "layer", "height_mm", "islands", "body_mean_k", "entry_max_k", "entry_sd_k", "travel_mm", "time_s", "wait_s",
     "power_share", "enter_k", "leave_k", "stored_j",
@@ -39,17 +40,9 @@ WHOLE_PART = (
 class LayerHeat:
     """A layer simulated on the heat model."""
 
-    body_mean_k: float  # mean temperature rise of the body under it when it begins
-    entry_max_k: float  # greatest mean temperature rise of an island when the beam enters it
-    entry_sd_k: float  # standard deviation of it over the islands
-    travel_mm: float  # jumps between islands
-    time_s: float  # time of the layer, with contours, moves and the waits within it
-    wait_s: float  # wait before the layer
-    power_share: float  # share of the beam's power
-    enter_k: float  # temperature of the surface when it begins, absolute
-    leave_k: float  # the same when it is done
-    stored_j: float  # heat in the body at its end
-    ring_wait_s: float
+    figures: dict[
+        str, float
+    ]  # as :data:`~ebamcheck.scan.plan.columns.METRICS` and :data:`WHOLE_PART` name them
     island_wait_s: Floats  # (I,) wait before each island
     inner_wait_s: Floats  # (I,) wait before each further bead of an island
     mean_k: Floats  # (B,) mean temperature of the surface when each bead is entered, contours first, absolute
@@ -58,35 +51,36 @@ class LayerHeat:
 
 @dataclass(frozen=True, eq=False)
 class ReadyIslands:
-    """Islands of a layer that is laid, their heat model as it begins on a cold part, None where there are none, and its
-    contours."""
+    """Islands of a layer that is laid, ready for an order."""
 
     laid: LaidLayer
     islands: LayerIslands
-    cold: IslandHeat | None
+    cold: IslandHeat | None  # their heat model as it begins on a cold part; None where there are none
     contours: ContourBeads
 
 
 @dataclass(frozen=True, eq=False)
 class OrderedLayer:
-    """A layer, what its order knew of its islands, the order (I,), the entry option (I,) of each island (see
-    :func:`~ebamcheck.scan.order.entries.in_sequence`), and its heat where it was simulated."""
+    """A layer, what its order knew of its islands, and in which order they are scanned."""
 
     laid: LaidLayer
     islands: LayerIslands
-    order: Ints
-    options: Ints
-    heat: LayerHeat | None = None
+    order: Ints  # (I,)
+    options: Ints  # (I,) entry option of each island, see :func:`~ebamcheck.scan.order.entries.in_sequence`
+    heat: LayerHeat | None = None  # where it was simulated
+
+    @classmethod
+    def of(
+        cls, name: str | Order, laid: LaidLayer, islands: LayerIslands, heat: IslandHeat | None
+    ) -> OrderedLayer:
+        """Put islands in an order; `heat` is that with which the layer begins, where the order asks for it."""
+        order = scan_order(name, islands, heat)
+        return cls(laid, islands, order, chosen_options(name, islands, order, heat))
 
     @cached_property
     def lines(self) -> Vectors:
         """Lines in scan order, every island entered by its option."""
         return self.laid.driven(self.order, self.options)
-
-    def waits_s(self, which: str) -> Floats:
-        """Waits (I,) of the heat by their name, `island_wait_s` or `inner_wait_s`; none where it was not simulated."""
-        found: Floats = np.zeros(len(self.order)) if self.heat is None else getattr(self.heat, which)
-        return found
 
 
 # Gives the power along the beads of a layer by the layer in order and its height, mm; asked for each layer once, from below
@@ -143,7 +137,15 @@ def ordered_layers(
     its waits and power, which is always done where heat is carried; `power_of` gives the power along beads, else each has that of
     its layer."""
     if not (carry or simulated):
-        yield from _prepared(stack, lambda k: _cold(stack, k, config, order, seed))
+
+        @one_blas_thread()
+        def cold(k: int) -> OrderedLayer:
+            laid = stack.laid(k, config)
+            islands = laid.choices(config, seed, stack.plate_mm)
+            heat = islands.cold_heat() if needs_heat(order) and len(islands) > 1 else None
+            return OrderedLayer.of(order, laid, islands, heat)
+
+        yield from _prepared(stack, cold)
         return
     part, last = PartHeat(HeatColumn(config)), None
     for k, ready in enumerate(_prepared(stack, lambda k: laid_layer(stack, k, config, seed))):
@@ -174,18 +176,17 @@ def ordered_on(
         part = part.under(None if cold is None else cold.model)
         shape = LayerShape.of(islands.section, thickness_mm)
         begins = None if cold is None else _warmed(cold, ready, part, last) if carry else cold
-        found = scan_order(order, islands, begins)
-        options = chosen_options(order, islands, found, begins)
+        ordered = OrderedLayer.of(order, laid, islands, begins)
         if islands.section.area <= 0.0:
-            return OrderedLayer(laid, islands, found, options), part, last
-        beads, travel_mm = bead_sequence(laid, ready.contours, config, cold, found, options)
+            return ordered, part, last
+        sequence = ordered.order, ordered.options
+        beads, travel_mm = bead_sequence(laid, ready.contours, config, cold, *sequence)
         if power_of is not None:
-            power = power_of(OrderedLayer(laid, islands, found, options), thickness_mm)
-            beads = replace(beads, power=power)
+            beads = replace(beads, power=power_of(ordered, thickness_mm))
         guess = 0.0 if last is None else last.power_share
         done = cooled_layer(LayerJob(beads, shape, islands.height_mm, lowest), part, config, guess)
-    heat = _figures(done, travel_mm, beads, len(found), config)
-    return OrderedLayer(laid, islands, found, options, heat), done.after, done
+    heat = _layer_heat(done, travel_mm, beads, len(islands), config)
+    return replace(ordered, heat=heat), done.after, done
 
 
 def scan_part(
@@ -198,7 +199,7 @@ def scan_part(
     stack = Stack(sections, heights_mm, range(len(sections)))
     nothing = {**dict.fromkeys(WHOLE_PART, np.nan), "travel_mm": 0.0, "time_s": 0.0}
     for done in ordered_layers(stack, config, order, seed, carry=True):
-        figures = nothing if done.heat is None else vars(done.heat)
+        figures = nothing if done.heat is None else done.heat.figures
         place = {"layer": done.laid.layer, "height_mm": done.islands.height_mm, "islands": len(done.islands)}
         yield {name: {**figures, **place}[name] for name in WHOLE_PART}
 
@@ -208,30 +209,18 @@ def _prepared(stack: Stack, prepare: Callable[[int], _Prepared]) -> Iterator[_Pr
 
     With each layer that is taken one more is begun, so that the work goes on evenly beside that of who takes them.
     """
-    count = len(stack)
     if thread_count() == 1:
-        yield from map(prepare, range(count))
+        yield from map(prepare, range(len(stack)))
         return
-    threads = worker_threads()
+    threads, left = worker_threads(), iter(range(len(stack)))
     try:
-        coming = deque(threads.submit(prepare, k) for k in range(min(AHEAD, count)))
-        for k in range(count):
+        coming = deque(threads.submit(prepare, k) for k in itertools.islice(left, AHEAD))
+        while coming:
             ready = coming.popleft().result()
-            if k + AHEAD < count:
-                coming.append(threads.submit(prepare, k + AHEAD))
+            coming.extend(threads.submit(prepare, k) for k in itertools.islice(left, 1))
             yield ready
     finally:
         threads.shutdown(cancel_futures=True)
-
-
-@one_blas_thread()
-def _cold(stack: Stack, k: int, config: Config, order: str | Order, seed: int) -> OrderedLayer:
-    """Divide one layer into islands and put them in order as on a cold part."""
-    laid = stack.laid(k, config)
-    islands = laid.choices(config, seed, stack.plate_mm)
-    heat = islands.cold_heat() if needs_heat(order) and len(islands) > 1 else None
-    found = scan_order(order, islands, heat)
-    return OrderedLayer(laid, islands, found, chosen_options(order, islands, found, heat))
 
 
 @one_blas_thread()
@@ -260,28 +249,24 @@ def _warmed(cold: IslandHeat, ready: ReadyIslands, part: PartHeat, last: Simulat
     return replace(cold, start_k=ahead.amplitudes())
 
 
-def _figures(done: SimulatedLayer, travel_mm: float, beads: Beads, islands: int, config: Config) -> LayerHeat:
+def _layer_heat(
+    done: SimulatedLayer, travel_mm: float, beads: Beads, islands: int, config: Config
+) -> LayerHeat:
     # Beyond the boiling point the model says that it is too hot, not how hot.
     boiling_k, ambient_k = config.material.boiling_k, config.process.ambient_temperature_k
     rise_k = np.minimum(done.bed_k, boiling_k) - ambient_k
     entry_k = rise_k if rise_k.size else np.zeros(1)
+    names = "body_mean_k", "time_s", "wait_s", "ring_wait_s", "power_share"
+    figures = {name: getattr(done, name) for name in names} | {
+        "entry_max_k": float(entry_k.max()),
+        "entry_sd_k": float(entry_k.std()),
+        "travel_mm": travel_mm,
+        "enter_k": min(done.enter_k, boiling_k),
+        "leave_k": min(done.leave_k, boiling_k),
+        "stored_j": done.after.column.stored_j,
+    }
     island_wait_s, inner_wait_s = np.zeros(islands), np.zeros(islands)
     waits, inner = done.bead_wait_s[beads.rings :], beads.inner[beads.rings :]
     island_wait_s[beads.islands[~inner]] = waits[~inner]
     inner_wait_s[beads.islands[inner]] = waits[inner]
-    return LayerHeat(
-        body_mean_k=done.body_k,
-        entry_max_k=float(entry_k.max()),
-        entry_sd_k=float(entry_k.std()),
-        travel_mm=travel_mm,
-        time_s=done.time_s,
-        wait_s=done.wait_s,
-        power_share=done.power_share,
-        enter_k=min(done.enter_k, boiling_k),
-        leave_k=min(done.leave_k, boiling_k),
-        stored_j=done.after.column.stored_j,
-        ring_wait_s=done.ring_wait_s,
-        island_wait_s=island_wait_s,
-        inner_wait_s=inner_wait_s,
-        mean_k=done.mean_k,
-    )
+    return LayerHeat(figures, island_wait_s, inner_wait_s, done.mean_k)
