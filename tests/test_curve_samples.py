@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import fields
 from pathlib import Path
 
@@ -12,7 +11,7 @@ from fitted_rings import EXACT_MM, SQUARE, circle, one, paper_fit, raw, stack, w
 
 from ebamcheck.curves import Curves, fit_deviation
 from ebamcheck.errors import GeometryError, InputError, SettingsError
-from ebamcheck.layers.stack import Layers, concatenate, from_rings
+from ebamcheck.layers.stack import Layers, from_rings
 
 # -- sampling and measures -------------------------------------------------------------------------
 
@@ -160,14 +159,3 @@ def test_wrong_requests_say_what_is_wrong() -> None:
     bad = raw(np.array([(0.0, 0.0), (1.0, np.nan), (1.0, 1.0)]))
     with pytest.raises(GeometryError, match="layer 1"):
         paper_fit(bad)
-
-
-def test_progress_counts_every_layer_and_nothing_warns() -> None:
-    seen: list[int] = []
-    layers = concatenate([stack()] * 100)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        curves = paper_fit(layers, progress=seen.append)
-    assert sum(seen) == len(layers) == len(curves)
-    assert curves.settings["corner_angle_deg"] == 140.0
-    assert (curves.part, curves.backend, curves.method) == ("pppppppp", "b", "paper")

@@ -8,18 +8,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import shapely
-from fresh_layers import PLATE, PROFILE, islands_of, times_of
-from island_temperatures import compared
+from islands_of_a_plate import PROFILE, islands_of, times_of
 from scipy.integrate import quad
 from scipy.special import erf
 from scipy.stats import norm
 from shapely import affinity
 
-from ebamcheck.heat import Medium, island_heat
-from ebamcheck.heat.field import Modes, Timetable, surfaces_at_entries
+from ebamcheck.heat import Medium
+from ebamcheck.heat.balance import HeatColumn, LayerShape
+from ebamcheck.heat.field import LEAST, Modes, Timetable, falling, surfaces_at_entries
 from ebamcheck.heat.near_field import (
+    FAR,
     FELT,
     OPTIONS,
+    between_pieces,
     enclosed_share,
     entry_rise,
     exact_depth,
@@ -27,13 +29,14 @@ from ebamcheck.heat.near_field import (
     line_pieces,
     of_layer,
 )
-from ebamcheck.scan.filling.hatch import Vectors
+from ebamcheck.heat.part_heat import AgedColumns, PartHeat
 from ebamcheck.scan.order.entries import entry_points
+from ebamcheck.settings.config import Config
 
 
 @pytest.fixture(scope="module")
 def choices():
-    return islands_of(PLATE)
+    return islands_of(shapely.box(0, 0, 160, 110))
 
 
 def test_pieces_hold_all_heat_and_follow_the_way(choices):
@@ -50,16 +53,6 @@ def test_pieces_hold_all_heat_and_follow_the_way(choices):
             latest = pieces.place[own][np.argmax(pieces.passed[option, own])]
             assert np.hypot(*(soonest - schedule.entry[island, option])) <= 2.0 + 1e-9
             assert np.hypot(*(latest - schedule.leave[island, option])) <= 2.0 + 1e-9
-
-
-def test_an_island_without_lines_is_one_piece_at_its_centroid():
-    lines = Vectors(np.array([1]), np.array([[0.0, 0.0]]), np.array([[3.0, 0.0]]))
-    pieces = line_pieces(
-        (lines.island, lines.start, lines.end), np.array([[7.0, 8.0], [1.5, 0.0]]), np.array([2.0, 12.0]), 4.0
-    )
-    assert pieces.first.tolist() == [0, 1, 2]
-    assert pieces.place.tolist() == [[7.0, 8.0], [1.5, 0.0]]
-    assert pieces.share.tolist() == [1.0, 1.0]
 
 
 def test_tiles_cover_their_islands_with_the_moments_of_their_areas():
@@ -124,15 +117,6 @@ def test_slivers_are_cut_into_tiles_of_their_own_size(kind):
     wide = shapely.area(islands) > 1e-3 * shapely.length(islands)
     assert (away[wide] < 2e-2 * size[wide]).all()
     assert (away < 2.0 * size + 2e-6).all()
-
-
-def test_a_polygon_that_cannot_be_cut_counts_as_its_hull():
-    # Not valid, so not an island: what a failure of the triangulation would leave.
-    crossed = shapely.Polygon([(0, 0), (6, 4), (0, 4), (6, 0)])
-    tiles = island_tiles(np.array([crossed], object))
-    away2 = ((tiles.place - (3.0, 2.0)) ** 2).sum(axis=1) + 2.0 * tiles.variance
-    assert tiles.share.sum() == pytest.approx(1.0)
-    assert (tiles.share * away2).sum() == pytest.approx((6.0**2 + 4.0**2) / 12.0)
 
 
 def layer_in_half_space(age_s):
@@ -272,13 +256,42 @@ def test_nothing_passes_a_gap():
     assert abs(points[first_beyond]) < 5.0
 
 
-def test_few_modes_with_fresh_heat_are_within_a_tenth_of_converged_ones(monkeypatch):
-    """As on 2000 islands: one mode for five islands. The whole layer is in reports/scan/islands.md."""
-    monkeypatch.setattr(island_heat, "PLANNING_MODES", 30)
-    config = PROFILE.changed(scan={"hexagon_side_mm": 4.0})
-    table = compared(config, (110.0, 70.0), (1.0, 0.7)).set_index(["order", "model"])
-    error = table["rms_error_over_rms"].unstack()
-    assert error["reference, 1 w"].max() < 0.02
-    assert error["with fresh heat"].max() < 0.1
-    assert (error["with fresh heat"] < 0.6 * error["modes alone"]).all()
-    assert table["error_of_max"].unstack()["with fresh heat"].abs().max() < 0.1
+# -- what makes the heat of a plan fast leaves it what it is ------------------------------------------------
+
+
+def test_a_falling_power_of_e_is_that_of_the_library():
+    exponents = np.concatenate([-np.geomspace(1e-12, -LEAST, 500), [0.0]])
+    found = np.array([falling(float(x)) for x in exponents])
+    assert found == pytest.approx(np.exp(exponents), rel=1e-12, abs=1e-15)
+    assert falling(-1e300) == falling(-np.inf) == pytest.approx(np.exp(LEAST), rel=1e-9)
+
+
+def test_heat_between_islands_is_the_plain_sum_over_their_tiles():
+    random = np.random.default_rng(1)
+    first = np.array([0, 7, 7 + 12, 7 + 12 + 5])
+    place, share = random.uniform(0.0, 40.0, (24, 2)), random.uniform(0.1, 1.0, 24)
+    variance, spread = random.uniform(0.5, 2.0, 24), np.array([0.0, 3.0, 40.0])
+    pairs = np.array([[0, 0], [0, 1], [1, 2]])
+    found = between_pieces(first, place, share, variance, pairs, spread)
+    for (one, other), row in zip(pairs, found, strict=True):
+        a, b = np.arange(first[one], first[one + 1])[:, None], np.arange(first[other], first[other + 1])
+        away = ((place[a] - place[b]) ** 2).sum(axis=-1)[..., None]
+        wide = (variance[a] + variance[b])[..., None] + spread
+        dense = np.where(away > FAR * wide, 0.0, np.exp(-0.5 * away / wide) / (2.0 * np.pi * wide))
+        assert row == pytest.approx(((share[a] * share[b])[..., None] * dense).sum(axis=(0, 1)), rel=1e-12)
+
+
+def test_a_column_after_a_wait_is_worked_out_once_and_is_the_one_waited_for():
+    part, plain = (PartHeat(HeatColumn(Config())) for _ in range(2))
+    for each in (part, plain):
+        each.column.lay(LayerShape(2.0, 900.0, 120.0))
+        each.column.advance(20.0, 8e4)
+    aged = AgedColumns(part.column)
+    assert aged.after(7.5) is aged.after(7.5)
+    assert aged.after(0.0) is part.column
+    found_k = part.bed_k(np.zeros(0), 7.5, None, aged)
+    part.rest(7.5, aged)
+    plain.rest(7.5)
+    assert part.column.content.tobytes() == plain.column.content.tobytes()
+    assert found_k == plain.bed_k(np.zeros(0)) < aged.after(0.0).bed_k
+    assert part.column.radiated_j == plain.column.radiated_j

@@ -25,12 +25,14 @@ from ebamcheck.checks.interpass_checks import (
     text_shapes,
 )
 from ebamcheck.checks.value_checks import MELTING, melting_check, spread_mm
+from ebamcheck.controls.gcode.writing import write_plain_gcode
 from ebamcheck.errors import SettingsError
-from ebamcheck.heat.medium import least_power_share, melted_mm3_s, own_power_shares
+from ebamcheck.layers.stack import from_polygons
 from ebamcheck.nc.inputs import interpass_of
 from ebamcheck.nc.roles import by_height
 from ebamcheck.pipeline.gates import heat_gate
-from ebamcheck.program import verify_program
+from ebamcheck.pipeline.stages import bead_paths, plan_program
+from ebamcheck.program import read_program, verify_program
 from ebamcheck.settings.config import Config
 from ebamcheck.writing import bead_parts
 
@@ -145,22 +147,6 @@ def test_another_power_of_a_wider_bead_is_found_by_the_text_alone(factor, tmp_pa
     assert checks[MELTING].passed is (factor > 1.0)
 
 
-def test_the_power_of_wide_beads_ends_at_the_full_one():
-    process = Config().process
-    spacing, layer = process.hatch_spacing_mm, Config().layer_height_mm
-    width = np.array([0.5, 1.0, 1.2, 1.6]) * spacing
-    shares = own_power_shares(Config(), width, layer)
-    assert shares[:2].tolist() == [0.0, 0.0]
-    assert shares[2:] == pytest.approx(np.array([1.2, 1.6]) * least_power_share(Config(), layer))
-    weak = Config().changed(process={"current_ma": 60.0})
-    assert own_power_shares(weak, width, layer)[3] == 1.0
-    # The window of the process may ask for more than melting does.
-    window = Config().changed(process={"metal_energy_j_mm3": (50.0, 600.0)})
-    metal_mm3_s = process.travel_speed_mm_s * width[3] * layer
-    assert own_power_shares(window, width, layer)[3] == pytest.approx(50.0 * metal_mm3_s / process.power_w)
-    assert melted_mm3_s(Config()) == pytest.approx(2.0 * process.power_w / needed_j_mm3(Config()), rel=2e-3)
-
-
 # -- waits -----------------------------------------------------------------------------------------------
 
 
@@ -273,3 +259,52 @@ def test_no_plan_is_refused_for_its_waits_or_its_power(name, tmp_path):
     checks = heat_of(made)
     assert all(checks[n].passed for n in (INTERPASS, MELTING, AGAIN, COLD)), [c.text for c in checks.values()]
     assert judged(made)["power"].passed
+
+
+# -- power of layers of several parts, judged from the text alone -------------------------------------------
+
+
+CONFIG = Config().changed(
+    scan={"annealing_steps": 100}, machine={"control": "plain-gcode", "curve_form": "lines"}
+)
+
+
+def tube(x, outer, inner):
+    return shapely.Point(x, 0).buffer(outer, 32).difference(shapely.Point(x, 0).buffer(inner, 32))
+
+
+PARTS = [tube(0, 30, 15), tube(160, 60, 38), tube(300, 60, 38)]
+
+
+def plate(parts, count=2):
+    heights = (np.arange(count) + 0.5) * CONFIG.layer_height_mm
+    return from_polygons(heights, [parts] * count)
+
+
+def power_check(parts, folder, config=CONFIG, count=2):
+    layers = plate(parts, count)
+    plan = plan_program(layers, config)
+    files = write_plain_gcode(bead_paths(layers, plan, config), plan, config, folder)
+    nc = read_program(files.main, config)
+    checks = verify_program(nc, config=config, layers=layers, heat=True)
+    return plan, next(check for check in checks if check.name == "power")
+
+
+@pytest.mark.parametrize("parts", [PARTS, PARTS[:1]], ids=["three", "one"])
+def test_power_that_is_taken_back_for_one_of_the_parts_is_no_fault(parts, tmp_path):
+    plan, check = power_check(parts, tmp_path / "p")
+    assert (plan.metrics["power_share"] < 1.0).all()
+    assert check.passed, check.text
+
+
+def test_under_a_low_limit_a_place_may_be_as_hot_as_it_while_the_section_is_cool(tmp_path):
+    # Aluminium: 130 K over the chamber, of which the section as a whole has half.
+    bores = shapely.MultiPoint([(20, 20), (60, 20), (40, 60)]).buffer(8, 16)
+    plan, check = power_check(
+        [shapely.box(0, 0, 80, 80).difference(bores)],
+        tmp_path / "p",
+        CONFIG.changed(material={"name": "Al 2319"}),
+        6,
+    )
+    assert (plan.metrics["power_share"] < 0.5).all()
+    assert check.passed, check.text

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 import shapely
 import shapely.affinity
 
-from ebamcheck.checks.metal import _reaches_mm
 from ebamcheck.geometry.regions import eroded, is_inset, valid_polygons
-from ebamcheck.metal import target_of
 from ebamcheck.nc.roles import depth_lines, inside
 
 LOST = shapely.Polygon(
@@ -120,20 +116,6 @@ def test_lines_of_one_depth_are_the_border_of_the_inset(name):
     drawn = shapely.multilinestrings(shapely.linestrings(lines.reshape(-1, 2, 2)))
     assert shapely.distance(drawn, places).max() <= 0.05
     assert shapely.distance(border, shapely.points(lines.reshape(-1, 2))).max() <= 0.05
-
-
-def test_without_a_place_that_deep_there_is_no_line():
-    assert not len(depth_lines(shapely.box(0, 0, 40, 5.9), 3.0))
-    assert not len(depth_lines(shapely.Polygon(), 3.0))
-
-
-def test_metal_reaches_a_number_of_millimetres_beside_a_wall_thinner_than_a_cell():
-    wall = shapely.box(0.3, 0.0, 0.6, 20.0)
-    target = target_of(wall, 1.0, 4.0)
-    film = np.ones(target.share.shape, np.bool_)
-    reach = _reaches_mm(film, target.share >= 0.5, wall, target)
-    assert np.isfinite(reach).all()
-    assert 3.0 < reach.max() < 4.0 * math.sqrt(2.0) + 1.5
 
 
 @pytest.mark.parametrize("name", SHAPES)

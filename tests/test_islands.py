@@ -126,11 +126,6 @@ def test_slivers_that_join_each_other_are_joined_on():
     )
 
 
-def test_a_sliver_joins_the_neighbour_with_the_longest_border():
-    pieces = column([shapely.box(0, 0, 10, 10), shapely.box(10, 0, 11, 10), shapely.box(0, 10, 11, 30)])
-    assert sliver_groups(pieces, 20.0, 0.0).tolist() == [0, 0, 2]
-
-
 # -- directions ----------------------------------------------------------------------------------------
 
 

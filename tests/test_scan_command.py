@@ -19,7 +19,6 @@ from PIL import Image
 from ebamcheck.heat import contour_modes
 from ebamcheck.mesh.part import from_arrays
 from ebamcheck.showing.colours import SCALE as COLOURS
-from ebamcheck.showing.colours import palette_image, png
 from ebamcheck.showing.pictures import TemperatureScale, field_svg, frontier, islands_svg, pareto_svg
 
 SVG = "{http://www.w3.org/2000/svg}"
@@ -54,29 +53,9 @@ def test_all_orders_in_a_table_with_pictures(plate, tmp_path):
     assert len(picture.findall(f"{SVG}path")) == count
 
 
-def test_paths_are_exported_for_simulators(plate, tmp_path):
-    done = ebamcheck(
-        *("scan", plate, "--height", 12, "--orders", "thermal", "--export", "all", "-o", "out"), cwd=tmp_path
-    )
-    assert done.returncode == 0, done.stderr
-    count = int(done.stdout.split()[0])
-    paths = tmp_path / "out" / "paths" / "thermal"
-    assert len((paths / "3dthesis" / "Path.txt").read_text().splitlines()) > count
-
-
 def rows_of(file):
     """Numbers of a table of 3DThesis."""
     return np.loadtxt(file, skiprows=1)
-
-
-@pytest.mark.parametrize(
-    "height", [0.4, 29.5, *(pytest.param(z, marks=pytest.mark.slow) for z in (3.0, 12.0))]
-)
-def test_a_path_is_exported_at_the_height_that_was_asked_for(plate, tmp_path, height):
-    asked = ("scan", plate, "--height", height, "--orders", "raster", "--export", "3dthesis", "-o", "out")
-    assert ebamcheck(*asked, cwd=tmp_path).returncode == 0
-    rows = rows_of(tmp_path / "out" / "paths" / "raster" / "3dthesis" / "Path.txt")
-    assert np.unique(rows[rows[:, 4] > 0.0, 3]) == pytest.approx([height], abs=1e-6)
 
 
 def test_a_height_over_a_part_that_stands_off_zero_is_that_over_its_lowest_point(tmp_path):
@@ -88,35 +67,6 @@ def test_a_height_over_a_part_that_stands_off_zero_is_that_over_its_lowest_point
     assert ebamcheck(*asked, cwd=tmp_path).returncode == 0
     rows = rows_of(tmp_path / "out" / "paths" / "raster" / "3dthesis" / "Path.txt")
     assert np.unique(rows[rows[:, 4] > 0.0, 3]) == pytest.approx([12.0], abs=1e-6)
-
-
-def drawn_place(picture, order):
-    """Travel and temperature at which the plot of the orders has a point, read off its axes."""
-    root = ElementTree.fromstring(picture)
-    name = next(t for t in root.findall(f"{SVG}text") if t.text.split(",")[0] == order)
-    dots = [(float(c.get("cx")), float(c.get("cy"))) for c in root.findall(f"{SVG}circle")]
-    x, y = min(
-        dots,
-        key=lambda dot: abs(dot[0] + 9 - float(name.get("x"))) + 0.01 * abs(dot[1] - float(name.get("y"))),
-    )
-    ticks = [
-        (t.get("text-anchor"), float(t.get("x")), float(t.get("y")), float(t.text))
-        for t in root.iter(f"{SVG}text")
-        if t.text.replace(".", "").isdigit()
-    ]
-    across = [(px, value) for anchor, px, _, value in ticks if anchor == "middle"]
-    up = [(py - 4.0, value) for anchor, _, py, value in ticks if anchor == "end"]
-    return [np.interp(x, *zip(*sorted(across), strict=True)), np.interp(y, *zip(*sorted(up), strict=True))]
-
-
-def test_the_plot_of_the_orders_and_the_table_show_the_same_random(plate, tmp_path):
-    asked = ("scan", plate, "--height", 12, "--orders", "random,raster", "--seeds", 4, "-o", "out")
-    assert ebamcheck(*asked, cwd=tmp_path).returncode == 0
-    picture = (tmp_path / "out" / "pareto.svg").read_text()
-    for row in json.loads((tmp_path / "out" / "orders.json").read_text()):
-        assert drawn_place(picture, row["order"]) == pytest.approx(
-            [row["travel_mm"], row["entry_max_k"]], rel=0.01
-        )
 
 
 def test_pictures_of_a_layer_share_frame_path_and_scale(plate, tmp_path):
@@ -281,15 +231,6 @@ def image_of(picture):
     return Image.open(io.BytesIO(base64.b64decode(address.split(",")[1])))
 
 
-def test_images_are_read_by_another_reader():
-    pixels = np.random.default_rng(3).integers(0, 256, (7, 13)).astype(np.uint8)
-    image = Image.open(io.BytesIO(png(palette_image(pixels, COLOURS))))
-    image.verify()
-    image = Image.open(io.BytesIO(png(palette_image(pixels, COLOURS))))
-    assert image.size == (13, 7)
-    assert np.array_equal(np.asarray(image.convert("RGB")), COLOURS[pixels])
-
-
 def test_a_field_is_drawn_where_it_is():
     section = shapely.box(0, 0, 100, 50).difference(shapely.box(40, 20, 60, 30))
     plane = contour_modes(section, 0.02, 200)
@@ -305,13 +246,3 @@ def test_a_field_is_drawn_where_it_is():
     for share in (0.1, 0.5, 0.9):
         wanted = COLOURS[round(255 * share)].astype(int)
         assert np.abs(colours[rows // 8, round(share * columns)].astype(int) - wanted).max() < 12
-
-
-@pytest.mark.parametrize("wide", [0.2, 6.0, 900.0])
-def test_pictures_of_thin_walls_stay_small(wide):
-    section = shapely.box(0, 0, wide, 180.0 / wide)
-    plane = contour_modes(section, 0.5, 20)
-    picture = field_svg(lambda at: plane.grid.interpolation(at) @ plane.values[:, 0], section, "a", " K", 1.0)
-    root = ElementTree.fromstring(picture)
-    assert float(root.get("height")) < 1400
-    assert min(image_of(picture).size) >= 1

@@ -61,12 +61,6 @@ def test_layers_alone_are_those_of_the_plan(plan, file):
     assert np.array_equal(shapely.to_wkb(layers.sections), shapely.to_wkb(plan.sections))
 
 
-def test_sections_stand_in_the_file_once(plan, file):
-    sections = sum(map(len, shapely.to_wkb(plan.sections)))
-    assert len(pq.read_schema(file).serialize()) < sections / 4
-    assert file.stat().st_size < pq.read_table(file).nbytes
-
-
 @pytest.mark.parametrize("read", [ScanPlan.from_parquet, PlanOfLayers.from_parquet])
 def test_what_is_no_plan_is_refused(read, tmp_path):
     pd.DataFrame({"x": [1]}).to_parquet(tmp_path / "other.parquet")
@@ -143,13 +137,6 @@ def test_a_missing_column_is_named(name, file):
     pq.write_table(table.drop_columns([name]), file)
     with pytest.raises(InputError, match=f"{name}|metrics lack {next(iter(METRICS))}"):
         ScanPlan.from_parquet(file)
-
-
-def test_a_figure_that_is_missing_is_named(plan, tmp_path):
-    short = replace(plan, metrics=plan.metrics.drop(columns=["leave_k"]))
-    short.to_parquet(tmp_path / "scan.parquet")
-    with pytest.raises(InputError, match="metrics lack leave_k"):
-        ScanPlan.from_parquet(tmp_path / "scan.parquet")
 
 
 def test_a_plan_that_cannot_be_written_leaves_nothing(plan, tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -17,15 +18,29 @@ import ebamcheck
 from ebamcheck.errors import SettingsError
 from ebamcheck.geometry.regions import layer_section
 from ebamcheck.heat import Medium
-from ebamcheck.heat.island_heat import island_heat
 from ebamcheck.heat.modes import one_blas_thread
+from ebamcheck.heat.near_field import OPTIONS
 from ebamcheck.plugins import registry
-from ebamcheck.scan import LayerIslands, plan_scan
+from ebamcheck.scan import plan_scan
 from ebamcheck.scan.filling.schedule import turns_and_jumps_mm
-from ebamcheck.scan.order.entries import clocked, entered, entry_points, entry_temperatures
-from ebamcheck.scan.order.orders import scan_order
+from ebamcheck.scan.order.entries import (
+    NEAREST,
+    affordable,
+    clocked,
+    cool_options,
+    entered,
+    entry_points,
+    entry_temperatures,
+    high_mean,
+    in_sequence,
+    modes_at_entries,
+    nearest_options,
+    options_by_price,
+    rises_at_entries,
+)
+from ebamcheck.scan.order.orders import chosen_options, longest_travel_mm, scan_order
 from ebamcheck.scan.order.search import greedy_order, own_rise
-from ebamcheck.scan.plan.comparing import FIGURES, compared_orders
+from ebamcheck.scan.plan.comparing import FIGURES, OrderComparison, compared_orders
 from ebamcheck.scan.plan.laying import lay_islands
 from ebamcheck.settings.stages import order_names
 
@@ -174,12 +189,6 @@ def test_thermal_is_cooler_and_shorter_than_farthest(base):
         assert thermal["entry_max_k"] < table.loc["raster", "entry_max_k"]
 
 
-def test_plans_by_heat_repeat_to_the_last_bit():
-    one, two = (plan_scan(PLATE, PROFILE, order="thermal", seed=3) for _ in range(2))
-    assert np.array_equal(one.order, two.order)
-    assert one.vectors.equals(two.vectors)
-
-
 def test_travel_is_paid_for(choices):
     schedule, heat = choices.known_schedule, choices.cold_heat()
     travel = []
@@ -187,25 +196,6 @@ def test_travel_is_paid_for(choices):
         order = greedy_order(heat, schedule, FREE, RAPID, 0, price, 0.0)
         travel.append(clocked(schedule, order, RAPID)[2])
     assert travel[0] > travel[1] > travel[2]
-
-
-def test_stride_and_random(choices):
-    rows = scan_order("raster", choices)
-    assert np.array_equal(scan_order("stride", choices)[: len(rows[::7])], rows[::7])
-    other = LayerIslands(choices.centroid, choices.area_mm2, choices.neighbours, 0, 1)
-    assert not np.array_equal(scan_order("random", choices), scan_order("random", other))
-    assert np.array_equal(scan_order("random", choices), scan_order("random", choices))
-
-
-def test_a_finer_simulation_agrees_with_the_plan_on_what_is_hot(laid, choices):
-    schedule, coarse = choices.known_schedule, choices.cold_heat()
-    fine = island_heat(PLATE, laid.islands, schedule.beam_s, schedule.time_s, PROFILE, 10.0, fine=True)
-    assert fine.modes.mean.shape[0] > coarse.modes.mean.shape[0]
-    order = scan_order("farthest", choices)
-    start, end, _ = clocked(schedule, order, RAPID)
-    coarse_k, _ = entry_temperatures(coarse, choices.area_mm2, order, start, end)
-    fine_k, _ = entry_temperatures(fine, choices.area_mm2, order, start, end)
-    assert np.corrcoef(coarse_k, fine_k)[0, 1] > 0.99
 
 
 def test_comparison_has_a_row_an_order_and_the_figures_of_the_plans():
@@ -249,25 +239,8 @@ def test_an_installed_order_plans(tmp_path, monkeypatch):
         plan_scan(PLATE, PROFILE, order="spiral")
 
 
-@pytest.mark.slow
-def test_two_thousand_islands_are_planned():
-    config = PROFILE.changed(scan={"hexagon_side_mm": 4.0})
-    plan = plan_scan(shapely.box(0, 0, 400, 230), config, order="thermal")
-    assert len(plan.islands) > 2000
-    assert np.array_equal(np.sort(plan.order), np.arange(len(plan.islands)))
-
-
 def blas_threads():
     return {library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"}
-
-
-def test_blas_has_one_thread_while_any_layer_is_planned():
-    before = blas_threads()
-    with one_blas_thread():
-        with one_blas_thread():
-            assert blas_threads() == {1}
-        assert blas_threads() == {1}
-    assert blas_threads() == before
 
 
 def test_blas_has_one_thread_whichever_thread_asks_first_and_leaves_last():
@@ -289,3 +262,137 @@ def test_blas_has_one_thread_whichever_thread_asks_first_and_leaves_last():
             assert blas_threads() == {1}
             worker.submit(there.__exit__, None, None, None).result()
         assert blas_threads() == before
+
+
+# -- islands entered at cool ends ---------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def order(choices):
+    return scan_order("thermal", choices)
+
+
+def driven_by(islands, order, options):
+    """Start, end, travel, and the rises at all ends."""
+    schedule = islands.known_schedule
+    start, end, travel = clocked(schedule, order, RAPID, options)
+    heat = islands.cold_heat()
+    at = modes_at_entries(heat, schedule)
+    return start, end, travel, rises_at_entries(heat, at, order, start, end, options)
+
+
+def entered_at(islands, order, options):
+    """Rises (I,) where the beam enters the islands, and the travel."""
+    *_, travel, rise_k = driven_by(islands, order, options)
+    return rise_k[np.arange(len(order)), options], travel
+
+
+def test_a_field_of_one_mode_is_read_at_the_ends_by_its_own_shape(choices):
+    # Nothing heats before the first island: it finds what the layer begins with, at the place of each end.
+    heat, schedule = choices.cold_heat(), choices.known_schedule
+    start_k = heat.model.cold()
+    start_k[1, 0] = 700.0
+    warm = heat.__class__(**{**vars(heat), "start_k": start_k})
+    first = np.arange(len(choices))
+    zeros = np.zeros(len(choices), np.int64)
+    start, end, _ = clocked(schedule, first, RAPID, zeros)
+    rise_k = rises_at_entries(warm, modes_at_entries(warm, schedule), first, start, end, zeros)
+    exact = heat.model.plane.at(schedule.entry[0]) @ (start_k @ heat.modes.in_layer)
+    assert np.ptp(exact) > 0.0
+    assert rise_k[0] == pytest.approx(exact)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_no_options_at_all_are_better_at_a_price(seed):
+    random = np.random.default_rng(seed)
+    count = 5
+    entry, leave = random.uniform(0, 60, (2, count, OPTIONS, 2))
+    share, price = random.uniform(0.3, 1.3, (count, OPTIONS)), 10.0 ** random.uniform(-5, 0)
+    order = random.permutation(count)
+
+    def spent(options):
+        jumps = entry[order[1:], options[order[1:]]] - leave[order[:-1], options[order[:-1]]]
+        travel = np.hypot(*jumps.T).sum()
+        return (share[np.arange(count), options] ** 12).sum() + price * travel, travel
+
+    options, travel_mm = options_by_price(share, order, entry, leave, price)
+    best = min(spent(np.array(tried))[0] for tried in itertools.product(range(OPTIONS), repeat=count))
+    assert spent(options)[0] == pytest.approx(best)
+    assert spent(options)[1] == pytest.approx(travel_mm)
+
+
+def test_travel_is_kept_and_more_of_it_is_never_warmer(choices, order):
+    schedule = choices.known_schedule
+    options = nearest_options(order, schedule.entry, schedule.leave)
+    *_, nearest_mm, rise_k = driven_by(choices, order, options)
+    warm = np.inf
+    for share in (0.5, 0.97, 1.0, 1.05, 1.2, 3.0):
+        chosen = affordable(rise_k, order, schedule.entry, schedule.leave, share * nearest_mm)
+        travel_mm = entered_at(choices, order, chosen)[1]
+        if share < 0.9:  # no ways are as short: the shortest, which are no longer than the nearest
+            shortest_mm = travel_mm
+            assert shortest_mm <= nearest_mm
+            continue
+        assert travel_mm <= max(share * nearest_mm, shortest_mm) + 1e-6
+        found = high_mean(rise_k[np.arange(len(order)), chosen])
+        assert found <= warm * (1.0 + 1e-9)
+        warm = found
+    assert warm == pytest.approx(high_mean(rise_k.min(axis=1)), rel=1e-6)
+
+
+def test_thermal_enters_islands_at_cooler_ends_within_its_travel(choices, order):
+    schedule = choices.known_schedule
+    nearest = nearest_options(order, schedule.entry, schedule.leave)
+    before_k, before_mm = entered_at(choices, order, nearest)
+    options = chosen_options("thermal", choices, order)
+    after_k, after_mm = entered_at(choices, order, options)
+    assert after_mm <= max(longest_travel_mm(choices), before_mm) + 1e-6
+    assert high_mean(after_k) < 0.97 * high_mean(before_k)
+    assert np.array_equal(
+        cool_options(choices.cold_heat(), schedule, order, RAPID, longest_travel_mm(choices)), options
+    ), "the same whenever it is asked"
+
+
+@pytest.mark.parametrize("name", ["raster", "farthest", "nearest", "least-heat"])
+def test_other_orders_take_the_nearest_end(choices, name):
+    found = scan_order(name, choices)
+    assert (chosen_options(name, choices, found) == NEAREST).all()
+
+
+def test_lines_are_driven_from_the_end_that_was_chosen():
+    # Two islands of two lines each, and one whose lines follow each other.
+    start = np.array([[0.0, 0.0], [9.0, 4.0], [30.0, 0.0], [39.0, 4.0], [60.0, 0.0], [69.0, 0.0]])
+    end = np.array([[9.0, 0.0], [0.0, 4.0], [39.0, 0.0], [30.0, 4.0], [69.0, 0.0], [69.0, 9.0]])
+    first, chained = np.array([0, 2, 4, 6]), np.array([False, False, True])
+    order = np.arange(3)
+    entries = {0: (30.0, 0.0), 1: (39.0, 0.0), 2: (30.0, 4.0), 3: (39.0, 4.0)}
+    for option, place in entries.items():
+        rows, turned = in_sequence(start, end, first, order, chained, np.array([0, option, NEAREST]))
+        begins = np.where(turned[:, None], end[rows], start[rows])
+        assert tuple(begins[2]) == place
+        assert sorted(rows) == list(range(6))
+    rows, turned = in_sequence(start, end, first, order, chained, np.array([0, 0, 2]))
+    assert (rows[4:].tolist(), turned[4:].tolist()) == ([5, 4], [True, True]), "backwards as a whole"
+
+
+def test_the_plan_has_the_options_that_were_chosen_and_the_comparison_reads_them():
+    height_mm = 10.0
+    plan = plan_scan(PLATE, PROFILE, order="thermal", height_mm=height_mm)
+    plain = plan_scan(
+        PLATE, PROFILE.changed(scan={"carry_heat": False}), order="thermal", height_mm=height_mm
+    )
+    for made in (plan, plain):
+        vectors = made.vectors
+        jumps = vectors[["x0", "y0"]].to_numpy()[1:] - vectors[["x1", "y1"]].to_numpy()[:-1]
+        between = np.diff(vectors["island"].to_numpy()) != 0
+        assert np.hypot(*jumps[between].T).sum() <= made.metrics["travel_mm"].iloc[0] + 1e-6
+    compared = OrderComparison.of(PLATE, PROFILE, 0, height_mm)
+    result = compared.result("thermal", 0)
+    first = result.plan.vectors.drop_duplicates("island")
+    schedule = compared.islands.known_schedule
+    order = np.argsort(result.rank)
+    options = chosen_options("thermal", compared.islands, order)
+    begun = first.set_index("island")[["x0", "y0"]].to_numpy()[np.argsort(first["island"].to_numpy())]
+    assert begun == pytest.approx(
+        schedule.entry[first["island"].sort_values(), options[first["island"].sort_values()]]
+    )

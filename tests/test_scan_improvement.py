@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
+import itertools
+import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from islands_of_a_plate import FREE, PLATE, PROFILE, RAPID, laid_plate
+import shapely
+from islands_of_a_plate import FREE, PLATE, PROFILE, RAPID, islands_of, laid_plate, times_of
+from shapely import affinity
 
 from ebamcheck.geometry.regions import layer_section
-from ebamcheck.heat.influence import (
-    FALLEN,
-    LEAST_RATE,
-    YOUNG_NODES,
-    influence,
-    old_heat,
-    table_place,
-    work_out,
-)
+from ebamcheck.heat.influence import FALLEN, LEAST_RATE, YOUNG_NODES, influence, old_heat, work_out
 from ebamcheck.heat.near_field import entry_rise, young_mean
-from ebamcheck.scan.order.entries import clocked, entered, entry_options, entry_points, high_mean
+from ebamcheck.scan.filling.hatch import Vectors
+from ebamcheck.scan.order.entries import clocked, entry_options, entry_points, high_mean
 from ebamcheck.scan.order.orders import scan_order
 from ebamcheck.scan.order.search import (
     HOTTEST_EVERY,
@@ -28,33 +25,20 @@ from ebamcheck.scan.order.search import (
     greedy_order,
     improved,
     new_log,
+    own_rise,
     powers_from,
+    ranked,
+    thermal_order,
     time_from,
     touching,
     touching_successors,
 )
-from ebamcheck.scan.plan.comparing import OrderComparison
 from ebamcheck.scan.plan.laying import lay_islands
 
 
 @pytest.fixture(scope="module")
 def choices():
     return laid_plate().choices(PROFILE, 0)
-
-
-def test_improvement_helps_or_leaves_it():
-    settings = {"order": "thermal"}
-    plain = OrderComparison.of(PLATE, PROFILE.changed(scan={**settings, "annealing_steps": 0}), 0, 0.0)
-    long = OrderComparison.of(PLATE, PROFILE.changed(scan={**settings, "annealing_steps": 400}), 0, 0.0)
-    keys = []
-    for compared in (plain, long):
-        islands = compared.islands
-        schedule, heat = islands.known_schedule, islands.cold_heat()
-        order = scan_order("thermal", islands)
-        start, end, _ = clocked(schedule, order, RAPID)
-        entry, _ = entered(heat, order, start, end)
-        keys.append(high_mean(entry))
-    assert keys[1] < keys[0]
 
 
 @pytest.mark.parametrize("base", ["cooled", "insulated"])
@@ -77,32 +61,6 @@ def test_the_table_of_influences_is_the_heat_model(base):
     assert log.travel_mm[-1] == pytest.approx(travel)
     powers_from(0, 0, 0, np.arange(len(order)), order, layer, np.inf, log)
     assert log.entry_k == pytest.approx(exact[order], rel=0.02, abs=0.02 * np.abs(exact).max())
-
-
-@pytest.mark.parametrize("base", ["cooled", "insulated"])
-def test_a_rise_of_the_table_is_that_of_two_islands_driven_alone(base):
-    config = PROFILE.changed(process={"base": base})
-    choices = lay_islands(layer_section(PLATE), config, 0, 10.0).choices(config, 0)
-    schedule, heat, count = choices.known_schedule, choices.cold_heat(), len(choices)
-    horizon_s = heat.fresh.horizon_s
-    table = influence(heat, schedule.time_s, 300.0)
-    pairs = [*choices.neighbours[::9].tolist(), *np.random.default_rng(8).integers(0, count, (8, 2)).tolist()]
-    for source, island in pairs:
-        if source == island:
-            continue
-        before = 0.0
-        for since in horizon_s * np.array([0.0, 0.3, 0.7, 0.999, 1.001, 1.5, 3.0, 12.0]):
-            start, end = np.zeros(count), np.zeros(count)
-            start[island] = end[source] = schedule.time_s[source]
-            start[island] += since
-            end[island] = start[island] + schedule.time_s[island]
-            exact = entered(heat, np.array([source, island]), start, end)[0][island]
-            node, share = table_place(since, table.nodes_per_root_s, horizon_s, table.rise_k.shape[2])
-            low, high = table.rise_k[island, source, node : node + 2]
-            found = low + (high - low) * share
-            assert found == pytest.approx(exact, rel=0.02, abs=1.0)
-            before = max(before, abs(exact))
-        assert before > 0.0
 
 
 def test_old_heat_of_the_table_is_the_sum_over_all_modes(choices):
@@ -237,3 +195,99 @@ def test_giving_moves_up_early_changes_nothing(choices):
     found = improved_by(layer, order, allowed_mm, price, places, leniency)
     assert np.array_equal(found, best)
     assert not np.array_equal(found, order)
+
+
+# -- orders planned with fresh heat -------------------------------------------------------------------------
+
+
+def placed(islands, angle_deg, shift_mm):
+    """Return the same islands turned and shifted as a whole."""
+    turn = np.deg2rad(angle_deg)
+    matrix = np.array([[math.cos(turn), math.sin(turn)], [-math.sin(turn), math.cos(turn)]])
+
+    def there(points):
+        return points @ matrix + shift_mm
+
+    def body(shape):
+        return affinity.translate(affinity.rotate(shape, angle_deg, origin=(0, 0)), *shift_mm)
+
+    polygons = np.empty(len(islands), object)
+    polygons[:] = [body(p) for p in islands.polygons]
+    schedule, lines = islands.known_schedule, islands.lines
+    return replace(
+        islands,
+        centroid=there(islands.centroid),
+        section=body(islands.section),
+        polygons=polygons,
+        schedule=replace(schedule, entry=there(schedule.entry), leave=there(schedule.leave)),
+        lines=Vectors(lines.island, there(lines.start), there(lines.end)),
+    )
+
+
+def cost_of(islands, order):
+    start, end, travel = times_of(islands, order)
+    return travel, np.maximum(*entry_points(islands.cold_heat(), islands.known_schedule, order, start, end))
+
+
+@pytest.mark.parametrize(
+    ("angle_deg", "shift_mm", "share"),
+    [(0.0, (300.0, -70.0), 1e-6), (90.0, (0.0, 0.0), 1e-6), (33.0, (5.0, 8.0), 0.05)],
+)
+def test_the_cost_does_not_depend_on_where_the_layer_lies(choices, angle_deg, shift_mm, share):
+    order = scan_order("thermal", choices)
+    travel, entry_k = cost_of(choices, order)
+    same_travel, same_k = cost_of(placed(choices, angle_deg, np.array(shift_mm)), order)
+    assert same_travel == pytest.approx(travel)
+    # Cells of the modes lie along the axes: a turn between changes them a little.
+    assert high_mean(same_k) == pytest.approx(high_mean(entry_k), rel=share)
+
+
+def test_touching_successors_are_counted_where_there_was_a_choice():
+    pairs, count = np.array([[0, 1], [0, 2], [1, 3], [2, 3]]), 4
+    beside = touching(pairs, count)
+    sets = {frozenset(pair) for pair in pairs.tolist()}
+    for order in itertools.permutations(range(count)):
+        found = touching_successors(beside, np.array(order))
+        for n in range(count):
+            last, rest = order[n - 1], order[n:]
+            hot = n > 0 and {last, order[n]} in sets
+            choice = n > 0 and any({last, other} not in sets for other in rest)
+            assert found[n] == (hot and choice)
+    assert touching_successors(beside, np.array([0, 1, 2, 3])).tolist() == [False, True, False, False]
+
+
+@pytest.mark.parametrize("partition", ["hexagons", "squares"])
+def test_no_island_follows_one_that_it_touches(partition):
+    islands = islands_of(PLATE, partition=partition, hexagon_side_mm=10.0)
+    beside = touching(islands.neighbours, len(islands))
+    for order in ("thermal", "least-heat"):
+        assert not touching_successors(beside, scan_order(order, islands)).any()
+    assert touching_successors(beside, scan_order("raster", islands)).mean() > 0.5
+
+
+@pytest.mark.parametrize("share", [0.5, 1.2, 1e3])
+def test_the_order_of_five_islands_is_near_the_best_of_all_orders(share):
+    islands = islands_of(
+        shapely.box(0, 0, 62, 34).difference(shapely.box(20, 0, 24, 20)), hexagon_side_mm=11.0
+    )
+    count, schedule, heat = len(islands), islands.known_schedule, islands.cold_heat()
+    assert 5 <= count <= 6
+    beside = touching(islands.neighbours, count)
+    every = [np.array(order) for order in itertools.permutations(range(count))]
+    longest_mm = share * min(times_of(islands, order)[2] for order in every)
+    found = thermal_order(
+        heat, schedule, beside, RAPID, 19.0, longest_mm, 10.0, 40000, np.random.default_rng(0)
+    )
+    price_k_mm = own_rise(heat, schedule).mean() / 19.0
+
+    def cost_of(order):
+        touches, far_mm, warm_k = ranked(heat, schedule, beside, RAPID, order, longest_mm)
+        return touches, warm_k + price_k_mm * far_mm
+
+    costs = [cost_of(order) for order in every]
+    touches, cost_k = cost_of(found)
+    best = min(costs)
+    assert touches == best[0]
+    # The table lies between nodes of time.
+    assert cost_k <= 1.05 * best[1]
+    assert max(cost for _, cost in costs) > 1.3 * best[1]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from itertools import pairwise
 
@@ -21,7 +20,7 @@ FILES = {
     "3dthesis": {
         *("Path.txt", "ParamInput.txt", "Mode.txt", "Material.txt", "Beam.txt", "Domain.txt", "Output.txt"),
         *("Settings.txt", "run.sh"),
-    },
+    }
 }
 """What each program opens, by its own sources and tutorials."""
 
@@ -122,14 +121,6 @@ def test_the_path_has_length_time_and_energy_of_the_plan(tmp_path, control, laye
     assert heat_path(*stack(), settings).of_layer(layer).end_s[-1] == pytest.approx(clock, rel=1e-6)
 
 
-def test_a_lost_row_is_seen(tmp_path, control):
-    files, settings = wrote(tmp_path, control)
-    rows = path_of(files, settings.process.power_w)
-    end = np.flatnonzero(rows[:, 0] == 1)[-1] - 1  # of a bead
-    whole, less = integrated(rows), integrated(np.delete(rows, end, axis=0))
-    assert all(abs(a - b) > 1e-6 * a for a, b in zip(whole, less, strict=True))
-
-
 def test_beam_and_metal_are_those_of_the_settings(tmp_path):
     settings = Config()
     thesis = {p.name: p for p in wrote(tmp_path, "3dthesis")[0].folder.iterdir()}
@@ -192,8 +183,3 @@ def test_a_case_is_replaced_whole_but_results_are_kept(tmp_path, control):
     (results / "T.csv").write_text("x,y,z,T\n")
     with pytest.raises(SettingsError, match=r"holds Data/T\.csv, which is no program"):
         write_program(*stack(), settings, files.folder)
-
-
-def test_same_settings_make_the_same_bytes(tmp_path, control):
-    hashes = [dict(wrote(tmp_path / str(n), control)[0].sha256) for n in range(2)]
-    assert json.dumps(hashes[0]) == json.dumps(hashes[1])

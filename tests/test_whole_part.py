@@ -138,25 +138,6 @@ def test_a_program_drives_the_order_that_the_whole_part_was_planned_in():
     assert plan.metrics["entry_max_k"][0] == alone.metrics["entry_max_k"][0]
 
 
-@pytest.mark.slow
-def test_carried_heat_changes_the_order_alone_and_makes_it_cooler():
-    layers, free = plates(10), Config().changed(process={"interpass": "off"})
-    cold = free.changed(scan={"carry_heat": False})
-    warm_plan, cold_plan = plan_stack(layers, free), plan_stack(layers, cold)
-    assert shapely.equals(warm_plan.islands, cold_plan.islands).all()
-    assert not np.array_equal(warm_plan.order, cold_plan.order)
-
-    def as_planned(islands):
-        return cold_plan.islands_of(islands.layer) - np.searchsorted(cold_plan.island_layer, islands.layer)
-
-    driven = list(scan_part(sections_of(layers), layers.heights, free, as_planned, 0))
-    planned_k = np.array([row["entry_max_k"] - row["body_mean_k"] for row in driven])
-    carried_k = (warm_plan.metrics["entry_max_k"] - warm_plan.metrics["body_mean_k"]).to_numpy()
-    # Over the mean of the section, which no order changes: a little in the mean, and the worst layer over the lowest one most.
-    assert carried_k.mean() < planned_k.mean()
-    assert carried_k[1:].max() < 0.95 * planned_k[1:].max()
-
-
 def test_orders_that_ask_no_heat_have_no_heat_in_their_metrics():
     plan = plan_stack(plates(2), Config().changed(process={"interpass": "off"}), order="raster")
     assert plan.metrics[["body_mean_k", "entry_max_k"]].isna().all(axis=None)
@@ -218,16 +199,6 @@ def test_who_stops_taking_layers_stops_their_making(threads, monkeypatch):
     assert not [thread for thread in threading.enumerate() if thread.name.startswith("ThreadPool")]
 
 
-@pytest.mark.slow
-def test_threads_do_not_change_a_plan_from_cold(monkeypatch):
-    layers, cold = plates(9), BRIEF.changed(scan={"carry_heat": False})
-    orders = []
-    for threads in ("1", "3"):
-        monkeypatch.setenv("EBAMCHECK_THREADS", threads)
-        orders.append(plan_stack(layers, cold).order)
-    assert np.array_equal(*orders)
-
-
 @pytest.mark.parametrize("count", [0, 1, 2, 40])
 def test_layers_lie_on_the_sum_of_those_under_them(count):
     heights = np.cumsum(np.random.default_rng(count).uniform(0.5, 2.0, count))
@@ -239,10 +210,3 @@ def test_layers_lie_on_the_sum_of_those_under_them(count):
     ]
     assert [stack.thickness_mm(k, config) for k in range(count)] == steps
     assert [stack.bottom_mm(k, config) for k in range(count)] == [sum(steps[:k]) for k in range(count)]
-
-
-def test_ten_thousand_bottoms_take_no_sum_each():
-    stack = Stack([shapely.Polygon()] * 10_000, np.arange(10_000.0), range(10_000))
-    config = Config()
-    # By a sum for each, and the steps worked out for each summand, these are 50 million differences of 10,000 heights.
-    assert [stack.bottom_mm(k, config) for k in range(10_000)] == list(range(10_000))
