@@ -31,28 +31,7 @@ FALSE_FORMS = (21, 53, 104, 162, 181, 213, 230, 281, 512, 688, 691, 1226)
 by two rims, by a torus that was a ball, and by segments beside them that took what these would not bend."""
 
 BROKE_ONCE = (
-    1,
-    7,
-    8,
-    9,
-    10,
-    61,
-    94,
-    117,
-    139,
-    150,
-    218,
-    272,
-    365,
-    242,
-    330,
-    388,
-    386,
-    109,
-    148,
-    71,
-    276,
-    988,
+    *(1, 7, 8, 9, 10, 61, 94, 117, 139, 150, 218, 272, 365, 242, 330, 388, 386, 109, 148, 71, 276, 988),
     *FAR_ENDS,
     *FALSE_FORMS,
 )
@@ -112,8 +91,14 @@ def lifting(part: Part) -> Lifting:
     return Lifting(surface_of(part, CurveSettings()))
 
 
-def test_scattered_points_of_a_smooth_surface_are_known_as_such() -> None:
-    assert judge_bends(lifting(ellipsoid()).surface) == (True, False)
+def test_scattered_points_and_noise_are_known_by_the_bends_of_edges() -> None:
+    """Noise bends edges to both sides."""
+    smooth = ellipsoid()
+    assert judge_bends(lifting(smooth).surface) == (True, False)
+    rough = noisy(Triangles(smooth.vertices, smooth.faces.astype(np.int64)), 0.3, 1)
+    assert judge_bends(lifting(part_of(rough, "noisy")).surface).are_rough
+    ring = part_of(turned(decimated(CAD["bearing ring"](0.05), 0.1), 3), "ring")
+    assert judge_bends(lifting(ring).surface) == (False, False)
 
 
 def test_edges_that_stand_out_do_not_make_a_mesh_one_of_scattered_points() -> None:
@@ -137,17 +122,6 @@ def test_the_largest_error_is_taken_at_kinks() -> None:
     spiked = np.insert(square, 2, [[10.0, 9.9999], [13.0, 10.0]], axis=0)
     layers, truth = (from_rings([1.0], [[ring]]) for ring in (spiked, square))
     assert errors_of(layers, truth)[1] == pytest.approx(3.0)
-
-
-def test_noise_is_known_by_edges_that_bend_to_both_sides() -> None:
-    mesh = ellipsoid()
-    rough = noisy(Triangles(mesh.vertices, mesh.faces.astype(np.int64)), 0.3, 1)
-    assert judge_bends(lifting(part_of(rough, "noisy")).surface).are_rough
-
-
-def test_a_decimated_ring_is_neither_scattered_nor_rough() -> None:
-    part = part_of(turned(decimated(CAD["bearing ring"](0.05), 0.1), 3), "ring")
-    assert judge_bends(lifting(part).surface) == (False, False)
 
 
 def test_far_ends_bear_out_a_decimated_body_that_is_curved_all_over() -> None:

@@ -85,6 +85,7 @@ def test_a_strip_from_rim_to_rim_may_be_left_by_some_sagittas() -> None:
 # -- planted faults ------------------------------------------------------------------------------------------
 
 
+@pytest.fixture(scope="module")
 def box() -> tuple[Part, Layers]:
     part = part_of(CAD["box r 5"](CAD_MM), "box")
     return part, slice_part(part, [8.0, 10.0])
@@ -98,13 +99,11 @@ def judged(part: Part, layers: Layers, moved: Layers) -> np.ndarray:
     return evidence(polylines(moved), layers, limits_of(part, layers), SLACK).cause
 
 
-def test_the_contour_itself_is_accepted() -> None:
-    part, layers = box()
+def test_a_flat_side_that_bulges_by_a_hundredth_is_refused_and_the_contour_itself_is_not(
+    box: tuple[Part, Layers],
+) -> None:
+    part, layers = box
     assert not judged(part, layers, layers).any()
-
-
-def test_a_flat_side_that_bulges_by_a_hundredth_is_not() -> None:
-    part, layers = box()
     ring = layers.ring(0)
     k = int(np.argmax(np.hypot(*(np.roll(ring, -1, axis=0) - ring).T)))
     ahead = np.roll(ring, -1, axis=0)[k] - ring[k]
@@ -134,8 +133,8 @@ def test_a_hole_that_leaves_its_ring_is_not() -> None:
     assert NESTING in evidence(polylines(moved), layers, free, SLACK).cause.tolist()
 
 
-def test_a_ring_that_runs_the_other_way_is_not() -> None:
-    part, layers = box()
+def test_a_ring_that_runs_the_other_way_is_not(box: tuple[Part, Layers]) -> None:
+    part, layers = box
     plain = polylines(layers)
     rows = np.concatenate(
         [np.arange(plain.control_starts[k + 1] - 1, plain.control_starts[k] - 1, -1) for k in (0, 1)]
@@ -188,52 +187,38 @@ def test_a_layer_that_stands_out_is_seen() -> None:
 # -- gate and findings ---------------------------------------------------------------------------------------
 
 
-def test_curves_farther_from_a_reference_than_the_contours_shut_the_gate() -> None:
-    _, layers = box()
-    curves = fit(layers)
+@pytest.fixture(scope="module")
+def sound(box: tuple[Part, Layers]) -> FitVerdict:
+    curves = fit(box[1])
     assert curves.evidence is not None
+    return FitVerdict(curves, curves.evidence, None, None)
+
+
+def test_what_shuts_the_gate_is_named(sound: FitVerdict) -> None:
     errors_mm = {"normal_rms_mm": 0.01, "normal_max_abs_mm": 0.05}
-    same = FitVerdict(curves, curves.evidence, None, {"contour": errors_mm, "curve": errors_mm})
+    same = replace(
+        sound, reference={"contour": errors_mm, "curve": errors_mm}, farthest_mm=1.0, most_mm=1.021
+    )
     assert fit_gate(same).passed
     worse = {"contour": errors_mm, "curve": {**errors_mm, "normal_rms_mm": 0.3}}
-    gate = fit_gate(replace(same, reference=worse))
-    assert not gate.passed
-    assert "farther from the reference" in gate.text
+    cause = np.array([0, CROSSING], np.uint8)
+    lost = replace(sound.evidence, accepted=np.array([True, False]), cause=cause)
+    wrong = {
+        "farther from the reference": replace(same, reference=worse),
+        "1.1000 mm": replace(same, farthest_mm=1.1),
+        "layer 2, z = 10.000 mm": replace(same, evidence=lost),
+        "crosses": replace(same, evidence=lost),
+    }
+    for words, verdict in wrong.items():
+        gate = fit_gate(verdict)
+        assert not gate.passed
+        assert words in gate.text
 
 
-def test_curves_beyond_what_the_user_lets_them_shut_the_gate() -> None:
-    _, layers = box()
-    curves = fit(layers)
-    assert curves.evidence is not None
-    near = FitVerdict(curves, curves.evidence, None, None, farthest_mm=1.0, most_mm=1.021)
-    assert fit_gate(near).passed
-    gate = fit_gate(replace(near, farthest_mm=1.1))
-    assert not gate.passed
-    assert "1.1000 mm" in gate.text
-
-
-def test_a_ring_that_nothing_speaks_for_shuts_the_gate_and_is_named() -> None:
-    _, layers = box()
-    curves = fit(layers)
-    assert curves.evidence is not None
-    lost = replace(curves.evidence, accepted=np.array([True, False]), cause=np.array([0, CROSSING], np.uint8))
-    gate = fit_gate(FitVerdict(curves, lost, None, None))
-    assert not gate.passed
-    assert "layer 2, z = 10.000 mm" in gate.text
-    assert "crosses" in gate.text
-
-
-def test_what_fell_back_is_told_with_place_cause_and_remedy() -> None:
-    _, layers = box()
-    curves = fit(layers)
-    assert curves.evidence is not None
-    fallen = replace(
-        curves.evidence,
-        cause=np.array([0, PLANE], np.uint8),
-        method=np.array([0, POLYLINE], np.uint8),
-        at=np.array([[np.nan, np.nan], [3.0, 4.0]]),
-    )
-    (told,) = fit_findings(FitVerdict(curves, fallen, None, None))
+def test_what_fell_back_is_told_with_place_cause_and_remedy(sound: FitVerdict) -> None:
+    method, at = np.array([0, POLYLINE], np.uint8), np.array([[np.nan, np.nan], [3.0, 4.0]])
+    fallen = replace(sound.evidence, cause=np.array([0, PLANE], np.uint8), method=method, at=at)
+    (told,) = fit_findings(replace(sound, evidence=fallen))
     assert told.code == "curve-fell-back"
     assert told.place == "layer 2, z = 10.000 mm, (3.000, 4.000)"
     assert told.remedy

@@ -13,7 +13,9 @@ from hypothesis import strategies as st
 from section_zoo import ZOO, star
 from shapely import affinity
 
+from ebamcheck.geometry.raster import bare_samples
 from ebamcheck.geometry.regions import mean_width_mm, split_thin
+from ebamcheck.scan.filling.fill import LEAST_SPOT, bare_spots, gap_beads, spot_widths_mm, spots_to_close
 from ebamcheck.scan.filling.hatch import SHORTEST_LINE, hatch, lines_across, widest_pitch_mm
 from ebamcheck.scan.filling.walls import LEAST_APART, LEAST_BEAD, TAPER, TAPER_SHARE, wall_lines
 from ebamcheck.scan.islands.regions import layer_regions
@@ -334,3 +336,66 @@ def test_no_bead_turns_back_on_itself_within_a_bend(radius, angle_deg, thick):
         cosines = (steps[1:] * steps[:-1]).sum(axis=1)
         cosines /= np.hypot(*steps[1:].T) * np.hypot(*steps[:-1].T)
         assert cosines.min(initial=1.0) > -0.5
+
+
+# -- spots ---------------------------------------------------------------------------------------------
+
+
+def corner_spots(section, segments):
+    return bare_spots(section, bare_samples(section, segments, WIDTH), segments, WIDTH)
+
+
+@pytest.mark.parametrize("turn", [0.0, 20.0, 45.0])
+def test_spots_of_a_square_contour_are_its_four_corners(turn):
+    square = affinity.rotate(shapely.box(0, 0, 10, 10), turn)
+    ring = shapely.get_coordinates(affinity.rotate(shapely.box(3, 3, 7, 7), turn))
+    spots = corner_spots(square, np.hstack([ring[:-1], ring[1:]]))
+    assert len(spots) == 4
+    tip = (1.0 - math.pi / 4) * 3.0**2
+    assert [spot.area for spot in spots] == pytest.approx([tip] * 4, rel=0.02)
+    # The circle that touches both sides and the bead's end: (R + r) / R = sqrt 2 of its depth, doubled.
+    across = 2.0 * 3.0 * (math.sqrt(2) - 1) / (math.sqrt(2) + 1)
+    assert spot_widths_mm(spots) == pytest.approx(across, abs=0.02)
+
+
+def test_spots_are_those_of_shapely():
+    rng = np.random.default_rng(3)
+    section = shapely.union_all([ZOO["gear"]])
+    segments = rng.uniform(-90, 90, (150, 4))
+    beads = shapely.union_all(shapely.buffer(shapely.linestrings(segments.reshape(-1, 2, 2)), WIDTH / 2))
+    exact = [p for p in shapely.get_parts(section.difference(beads)) if p.area > LEAST_SPOT * WIDTH**2]
+    found = corner_spots(section, segments)
+    assert sum(p.area for p in found) == pytest.approx(sum(p.area for p in exact), rel=0.01)
+
+
+def test_wide_spots_are_closed_and_narrow_ones_only_while_coverage_is_missing():
+    spots = [shapely.box(10 * k, 0, 10 * k + size, size) for k, size in enumerate([1.0, 2.0, 0.5])]
+    chosen, left = spots_to_close(spots, 1.5, 1000.0, 0.99, 0.98)
+    assert (chosen, left) == ([spots[1]], pytest.approx(1.0, abs=1e-3))
+    chosen, left = spots_to_close(spots, 1.5, 100.0, 0.94, 0.98)
+    assert (chosen, left) == ([spots[1], spots[0]], pytest.approx(0.5, abs=1e-3))
+    assert spots_to_close([], 1.5, 100.0, 0.5, 0.98) == ([], 0.0)
+
+
+@pytest.mark.parametrize(
+    "spot",
+    [
+        shapely.Polygon([(0, 0), (2, 0), (0, 2)]),
+        shapely.box(20, 20, 50, 21.5),
+        shapely.LineString([(20, 20), (40, 20), (40, 40)]).buffer(0.8, cap_style="flat"),
+        shapely.MultiLineString([[(12, 45), (44, 45)], [(28, 45), (28, 58)]]).buffer(0.8, cap_style="flat"),
+        shapely.Point(30, 30).buffer(1.4),
+    ],
+    ids=["tip", "slit", "bent slit", "fork", "round"],
+)
+def test_a_gap_bead_covers_its_spot_within_the_section_and_beside_the_islands(spot):
+    section = shapely.box(0, 0, 60, 60)
+    islands = np.array([shapely.box(5, 25, 55, 35)], object)
+    beads, island, polygons = gap_beads([spot], section, islands, WIDTH, SPACING)
+    lines = shapely.union_all(beads)
+    assert spot.difference(lines.buffer(WIDTH / 2)).area <= 0.02 * spot.area
+    assert section.covers(lines)
+    homes = np.concatenate([islands, polygons])[island]
+    assert shapely.covers(shapely.buffer(homes, 1e-9), beads).all()
+    together = shapely.union_all([*islands, *polygons])
+    assert together.area == pytest.approx(shapely.area([*islands, *polygons]).sum(), rel=1e-9)

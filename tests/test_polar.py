@@ -14,11 +14,12 @@ import shapely
 from command_line import FAST, write_stl
 from typer.testing import CliRunner
 
+from benchmarks.curve_parts import part_of
+from benchmarks.curve_parts_solids import regular_prism
 from ebamcheck.commands.main import app
 from ebamcheck.curves import contour_error, error_reduction, polar_radius
 from ebamcheck.errors import ExitCode, SettingsError
 from ebamcheck.layers.stack import Layers, from_rings
-from ebamcheck.mesh.part import Part, from_arrays
 from ebamcheck.pipeline import run_job
 from ebamcheck.settings.config import Config
 
@@ -50,14 +51,6 @@ def test_the_polar_radius_of_a_square_is_exact() -> None:
     assert np.abs(polar_radius(SQUARE[::-1] + 100, (100, 100), theta) - expected).max() < 1e-11
 
 
-def test_rays_through_vertices_and_along_axes_count_once() -> None:
-    theta = np.arange(8) * (np.pi / 4)
-    radii = polar_radius(SQUARE, (0, 0), theta)
-    assert np.abs(radii - np.where(np.arange(8) % 2, 5 * np.sqrt(2), 5)).max() < 1e-12
-    diamond = np.array([(1, 0), (0, 1), (-1, 0), (0, -1)], float)
-    assert np.abs(polar_radius(diamond, (0, 0), theta[::2]) - 1).max() < 1e-15
-
-
 def test_the_polar_radius_agrees_with_shapely() -> None:
     rng = np.random.default_rng(3)
     t = np.sort(rng.uniform(0, 2 * np.pi, 60))
@@ -77,11 +70,6 @@ def test_no_radius_where_a_ray_misses_or_meets_the_ring_twice() -> None:
     radii = polar_radius(u_shape, (0, 0), [np.pi, np.deg2rad(45.0)])
     assert radii[0] == 1.0
     assert np.isnan(radii[1])
-
-
-def test_a_polar_radius_needs_a_ring() -> None:
-    with pytest.raises(SettingsError, match="at least 3 points"):
-        polar_radius(SQUARE[:2], (0, 0), [0.0])
 
 
 # -- errors ----------------------------------------------------------------------------------------
@@ -209,8 +197,9 @@ def test_stacks_of_other_heights_are_refused() -> None:
         contour_error(layer(SQUARE), from_rings([1.1], [[SQUARE]]))
     with pytest.raises(SettingsError, match="rays 0"):
         contour_error(layer(SQUARE), layer(SQUARE), rays=0)
-    nothing = contour_error(from_rings([], []), from_rings([], []))
-    assert len(nothing) == 0
+    with pytest.raises(SettingsError, match="at least 3 points"):
+        polar_radius(SQUARE[:2], (0, 0), [0.0])
+    assert len(contour_error(from_rings([], []), from_rings([], []))) == 0
 
 
 def test_nothing_is_gained_on_an_error_that_is_rounding() -> None:
@@ -228,19 +217,6 @@ SIDES = 24
 RADIUS_MM = 28.0
 
 
-def prism(sides: int) -> Part:
-    """An upright prism whose corners lie on a circle."""
-    turn = 2.0 * np.pi * np.arange(sides) / sides
-    rim = RADIUS_MM * np.column_stack([np.cos(turn), np.sin(turn)])
-    corners = [(*p, z) for z in (0.0, 9.0) for p in rim] + [(0.0, 0.0, 0.0), (0.0, 0.0, 9.0)]
-    faces = []
-    for i in range(sides):
-        j = (i + 1) % sides
-        faces += [(i, j, sides + j), (i, sides + j, sides + i)]
-        faces += [(2 * sides, j, i), (2 * sides + 1, sides + i, sides + j)]
-    return from_arrays(corners, faces, "prism")
-
-
 def polar(*arguments: object) -> tuple[int, str]:
     result = CliRunner().invoke(app, ["polar", *map(str, arguments)])
     return result.exit_code, result.output
@@ -249,7 +225,10 @@ def polar(*arguments: object) -> tuple[int, str]:
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("polar")
-    coarse, fine = (write_stl(prism(n), folder / f"{n}.stl") for n in (SIDES, 40 * SIDES))
+    coarse, fine = (
+        write_stl(part_of(regular_prism(n, RADIUS_MM, 9.0)(1.0), "prism"), folder / f"{n}.stl")
+        for n in (SIDES, 40 * SIDES)
+    )
     settings = Config().changed(
         slicing={"backends": tuple(FAST.split(","))},
         layers={"layer_height_mm": 3.0},
@@ -275,16 +254,13 @@ def test_the_figures_are_those_of_a_polygon_in_its_circle(run: Path, tmp_path: P
     assert page.find("body/figure/svg") is not None
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"), [(["--layer", 4], "1 to 3"), (["-o", "polar.png"], "polar.png")]
-)
-def test_bad_arguments_get_one_line(run: Path, arguments: list[object], message: str) -> None:
-    code, text = polar(run, *arguments)
-    assert code == ExitCode.USAGE
-    assert message in text
-
-
-def test_what_has_no_reference_is_refused(run: Path, tmp_path: Path) -> None:
-    code, text = polar(tmp_path)
-    assert code == ExitCode.USAGE
-    assert "no finished run folder" in text
+def test_bad_arguments_get_one_line(run: Path, tmp_path: Path) -> None:
+    wrong = {
+        "1 to 3": (run, "--layer", 4),
+        "polar.png": (run, "-o", "polar.png"),
+        "no finished run folder": (tmp_path,),
+    }
+    for message, arguments in wrong.items():
+        code, text = polar(*arguments)
+        assert code == ExitCode.USAGE
+        assert message in text
