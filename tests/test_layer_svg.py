@@ -104,11 +104,10 @@ def test_a_box_zooms():
 def test_empty_layers_and_flat_ones_are_drawn():
     parsed(layer_svg(layers(), 1))
     parsed(overlay_svg({"a": layers(), "b": layers()}, 1))
-    flat = from_rings([0.0], [[]], [[[(0, 0), (10, 0)]]])
-    point_like = from_rings([0.0], [[]], [[[(5, 5), (5, 5 + 1e-12)]]])
-    for stack in (flat, point_like):
-        assert "nan" not in layer_svg(stack, 0)
-        parsed(layer_svg(stack, 0))
+    for end in ((10, 0), (0, 1e-12)):
+        text = layer_svg(from_rings([0.0], [[]], [[[(0, 0), end]]]), 0)
+        assert "nan" not in text
+        parsed(text)
 
 
 def test_a_sheet_shows_layers_from_the_first_to_the_last():
@@ -131,15 +130,14 @@ def test_control_characters_and_markup_in_a_title_do_no_harm():
 
 
 def test_what_makes_no_sense_is_refused():
-    with pytest.raises(SettingsError, match="no layer 2"):
-        layer_svg(layers(), 2)
-    with pytest.raises(SettingsError, match="no layer -3"):
-        overlay_svg({"a": layers()}, -3)
-    with pytest.raises(SettingsError, match="at least one"):
-        overlay_svg({}, 0)
-    with pytest.raises(SettingsError, match="pixels wide"):
-        layer_svg(layers(), 0, width_px=10)
-    with pytest.raises(SettingsError, match="no extent"):
-        layer_svg(layers(), 0, box=(0, 0, 0, 1))
-    with pytest.raises(SettingsError, match="empty"):
-        sheet_svg(from_rings([], []))
+    wrong = {
+        "no layer 2": lambda: layer_svg(layers(), 2),
+        "no layer -3": lambda: overlay_svg({"a": layers()}, -3),
+        "at least one": lambda: overlay_svg({}, 0),
+        "pixels wide": lambda: layer_svg(layers(), 0, width_px=10),
+        "no extent": lambda: layer_svg(layers(), 0, box=(0, 0, 0, 1)),
+        "empty": lambda: sheet_svg(from_rings([], [])),
+    }
+    for words, drawing in wrong.items():
+        with pytest.raises(SettingsError, match=words):
+            drawing()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 import math
 import re
@@ -25,7 +24,6 @@ from ebamcheck.errors import BackendFailed, ExitCode, SettingsError
 from ebamcheck.layers.stack import from_rings
 from ebamcheck.mesh.part import from_arrays
 from ebamcheck.plugins import registry
-from ebamcheck.showing.colours import binary_image, png
 from ebamcheck_reports.charts import Series, log_chart
 from ebamcheck_reports.paper import layer_figures, paper, published, timing
 from ebamcheck_reports.paper.layer_figures import find_subject
@@ -280,15 +278,6 @@ def test_nothing_is_left_where_the_page_cannot_be_made(
 
 
 # -- pieces --------------------------------------------------------------------------------------------
-
-
-def test_png_is_read_back_as_the_same_image() -> None:
-    from PIL import Image
-
-    image = np.random.default_rng(4).random((13, 21)) < 0.4
-    with Image.open(io.BytesIO(png(binary_image(image)))) as read:
-        assert read.mode == "1"
-        assert np.array_equal(~np.asarray(read), image)
 
 
 def test_decades_are_equally_wide_on_logarithmic_axes() -> None:

@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 import shapely
 from command_line import WIDE_TOML, command, ebamcheck, write_stl
+from parts import box
 from PIL import Image
 
 from ebamcheck.heat import contour_modes
-from ebamcheck.mesh.part import from_arrays
 from ebamcheck.showing.colours import SCALE as COLOURS
 from ebamcheck.showing.pictures import TemperatureScale, field_svg, frontier, islands_svg, pareto_svg
 
@@ -26,10 +26,7 @@ SVG = "{http://www.w3.org/2000/svg}"
 
 @pytest.fixture(scope="module")
 def plate(tmp_path_factory):
-    box = np.array([(x, y, z) for z in (0, 30) for y in (0, 80) for x in (0, 150)], float)
-    faces = [(0, 2, 1), (1, 2, 3), (4, 5, 6), (5, 7, 6), (0, 1, 4), (1, 5, 4)]
-    faces += [(2, 6, 3), (3, 6, 7), (0, 4, 2), (2, 4, 6), (1, 3, 5), (3, 7, 5)]
-    return write_stl(from_arrays(box, faces, "plate"), tmp_path_factory.mktemp("parts") / "plate.stl")
+    return write_stl(box((0, 0, 0), (150, 80, 30)), tmp_path_factory.mktemp("parts") / "plate.stl")
 
 
 @pytest.mark.slow
@@ -53,19 +50,11 @@ def test_all_orders_in_a_table_with_pictures(plate, tmp_path):
     assert len(picture.findall(f"{SVG}path")) == count
 
 
-def rows_of(file):
-    """Numbers of a table of 3DThesis."""
-    return np.loadtxt(file, skiprows=1)
-
-
 def test_a_height_over_a_part_that_stands_off_zero_is_that_over_its_lowest_point(tmp_path):
-    box = np.array([(x, y, z) for z in (100, 130) for y in (0, 40) for x in (0, 60)], float)
-    faces = [(0, 2, 1), (1, 2, 3), (4, 5, 6), (5, 7, 6), (0, 1, 4), (1, 5, 4)]
-    faces += [(2, 6, 3), (3, 6, 7), (0, 4, 2), (2, 4, 6), (1, 3, 5), (3, 7, 5)]
-    raised = write_stl(from_arrays(box, faces, "raised"), tmp_path / "raised.stl")
+    raised = write_stl(box((0, 0, 100), (60, 40, 130)), tmp_path / "raised.stl")
     asked = ("scan", raised, "--height", 112, "--orders", "raster", "--export", "3dthesis", "-o", "out")
     assert ebamcheck(*asked, cwd=tmp_path).returncode == 0
-    rows = rows_of(tmp_path / "out" / "paths" / "raster" / "3dthesis" / "Path.txt")
+    rows = np.loadtxt(tmp_path / "out" / "paths" / "raster" / "3dthesis" / "Path.txt", skiprows=1)
     assert np.unique(rows[rows[:, 4] > 0.0, 3]) == pytest.approx([12.0], abs=1e-6)
 
 
@@ -77,18 +66,19 @@ def test_pictures_of_a_layer_share_frame_path_and_scale(plate, tmp_path):
         for order in ("raster", "thermal")
         for kind in ("rank", "entry", "field")
     }
-    frames = {
+    outlines = {
         (p.get("viewBox"), p.find(f"{SVG}g/{SVG}path[@class='outline']").get("d")) for p in pictures.values()
     }
-    assert len(frames) == 1
+    assert len(outlines) == 1
     for order in ("raster", "thermal"):
         for name in ("contour", "lines", "jumps"):
-            of_order = [
-                pictures[order, kind].find(f"{SVG}g/{SVG}path[@class='{name}']").get("d")
-                for kind in ("rank", "entry", "field")
-            ]
-            assert of_order[0].count("M") >= 1
-            assert of_order == of_order[:1] * 3
+            drawn = {
+                p.find(f"{SVG}g/{SVG}path[@class='{name}']").get("d")
+                for (o, _), p in pictures.items()
+                if o == order
+            }
+            assert len(drawn) == 1
+            assert "M" in drawn.pop()
     scales = {
         tuple(t.text for t in p.findall(f"{SVG}text") if t.text.endswith((" K", " more")))
         for (_, kind), p in pictures.items()
@@ -96,23 +86,13 @@ def test_pictures_of_a_layer_share_frame_path_and_scale(plate, tmp_path):
     }
     assert len(scales) == 1
     assert {"solidus 1584 K", "boiling 3240 K"} <= set(scales.pop())
-    printed = [
-        t.text for (_, kind), p in pictures.items() if kind == "entry" for t in p.findall(f"{SVG}text")
-    ]
-    assert not any(text.startswith("-") for text in printed)
 
 
 def test_rises_are_printed_between_nothing_and_boiling():
     scale = TemperatureScale.of(9000.0, 1877.0 - 293.15, 3533.0 - 293.15)
     assert scale.greatest == scale.boiling == pytest.approx(3533.0 - 293.15)
-    assert [scale.told(k) for k in (-30.2, -0.2, 0.0, 17.6, 3239.8, 3240.4)] == [
-        "0",
-        "0",
-        "0",
-        "18",
-        "3240",
-        "over 3240",
-    ]
+    told = {-30.2: "0", -0.2: "0", 0.0: "0", 17.6: "18", 3239.8: "3240", 3240.4: "over 3240"}
+    assert {k: scale.told(k) for k in told} == told
     assert TemperatureScale.of(-4.0, 1583.85, 3239.85).greatest == 1.0
     islands = np.array([shapely.box(10 * n, 0, 10 * n + 10, 10) for n in range(2)], object)
     picture = islands_svg(islands, np.array([-50.0, 5000.0]), "a", " K", temperatures=scale)
@@ -143,21 +123,18 @@ def test_json_of_the_order_of_the_settings(plate, tmp_path):
         (("--orders", "random", "--seeds", "0"), "--seeds 0: give at least 1"),
         (("--export", "foam", "-o", "x"), "--export 'foam': choose from 3dthesis"),
         (("--export", "all"), "--export: give the folder with -o"),
+        (("--height", 31), "31 mm is outside of the part 'plate', which reaches from z = 0 to 30 mm"),
+        (("--all", "--orders", "all"), "--all plans in one order, not 9"),
         (("--all",), "give either --height Z for one layer, or --all"),
         (("--pause", "5"), "--pause: the wait between layers belongs to --all"),
     ],
 )
 def test_what_cannot_be_planned_is_refused_in_one_line(plate, tmp_path, arguments, message):
-    done = ebamcheck("scan", plate, "--height", 12, *arguments, cwd=tmp_path)
+    height = () if "--height" in arguments else ("--height", 12)
+    done = ebamcheck("scan", plate, *height, *arguments, cwd=tmp_path)
     assert done.returncode == 2
     assert message in done.stderr
     assert len(done.stderr.splitlines()) == 1
-
-
-def test_a_height_outside_of_the_part_is_refused_with_its_range(plate, tmp_path):
-    done = ebamcheck("scan", plate, "--height", 31, "--orders", "all", "-o", "out", cwd=tmp_path)
-    assert done.returncode == 2, done.stdout
-    assert "31 mm is outside of the part 'plate', which reaches from z = 0 to 30 mm" in done.stderr
 
 
 def test_a_whole_part_is_a_row_a_layer(plate, tmp_path):
@@ -176,9 +153,6 @@ def test_a_whole_part_is_a_row_a_layer(plate, tmp_path):
         layer_s, wait_s = (np.array([float(row[name]) for row in found]) for name in ("time_s", "wait_s"))
         assert [float(row["built_s"]) for row in found] == pytest.approx(np.cumsum(layer_s + wait_s))
         assert (wait_s[1:] >= pause).all()
-    refused = ebamcheck("scan", plate, "--all", "--orders", "all", cwd=tmp_path)
-    assert refused.returncode == 2
-    assert "--all plans in one order, not 9" in refused.stderr
 
 
 @pytest.mark.slow

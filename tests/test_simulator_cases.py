@@ -17,12 +17,10 @@ from ebamcheck.settings.config import Config
 from ebamcheck.writing.bead_ends import driven_path
 
 FILES = {
-    "3dthesis": {
-        *("Path.txt", "ParamInput.txt", "Mode.txt", "Material.txt", "Beam.txt", "Domain.txt", "Output.txt"),
-        *("Settings.txt", "run.sh"),
-    }
+    *("Path.txt", "ParamInput.txt", "Mode.txt", "Material.txt", "Beam.txt", "Domain.txt", "Output.txt"),
+    *("Settings.txt", "run.sh"),
 }
-"""What each program opens, by its own sources and tutorials."""
+"""What 3DThesis opens, by its own sources and tutorials."""
 
 PROCESS = {"ramp_up_mm": 3.0, "layer_pause_s": 7.0}
 
@@ -88,7 +86,7 @@ def integrated(rows):
 def test_a_case_is_whole_and_marked(tmp_path, control):
     files, _ = wrote(tmp_path, control)
     names = {p.relative_to(files.folder).as_posix() for p in files.folder.rglob("*") if p.is_file()}
-    assert names == FILES[control] == set(files.names)
+    assert names == FILES == set(files.names)
     for name in names:
         head = (files.folder / name).read_text().splitlines()[:3]
         assert any(line.endswith("; NOT VALIDATED") for line in head), name
