@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ebamcheck.atomic_file import replacing
-from ebamcheck.mesh.part import Part
+from ebamcheck.mesh.part import Part, from_arrays
 from ebamcheck.mesh.stl import FACET, HEADER_BYTES
-from ebamcheck_models.model import Floats, make_part, single
+from ebamcheck_models.model import Floats, single
 from ebamcheck_models.ring_wall import Channel, RingWall, Rounding, levels
 
 LEAST_COLUMNS = 6
@@ -62,7 +62,7 @@ def even_mesh(wall: RingWall, facets: int) -> Part:
         vertices.append(points)
         triangles.append(faces + first)
         first += len(points)
-    return make_part(np.concatenate(vertices), np.concatenate(triangles), f"{wall.name}-even")
+    return from_arrays(np.concatenate(vertices), np.concatenate(triangles), f"{wall.name}-even")
 
 
 def grids_of(wall: RingWall, facets: int) -> Grids:

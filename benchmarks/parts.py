@@ -24,7 +24,7 @@ from benchmarks import even_mesh
 from ebamcheck.atomic_file import replacing
 from ebamcheck.mesh.part import Part
 from ebamcheck_models import LADDER, MODELS, write_stl
-from ebamcheck_models.ladder import LAYER_MM
+from ebamcheck_models.ring_wall import LAYER_MM
 from ebamcheck_reports.paper import published
 
 Series = Literal["ladder", "even"]

@@ -98,17 +98,6 @@ def test_hexagons_across_is_odd_and_one_or_two_over_the_ratio(ratio):
     assert math.floor(ratio + 0.5) + 1 <= count <= math.floor(ratio + 0.5) + 2
 
 
-@pytest.mark.in_turn(3)
-@pytest.mark.parametrize("short", [0.1, 0.4, 0.6, 1.4, 1.6, 2.5, 5.0, 6.0, 9.3, 10.6])
-@pytest.mark.parametrize("long", [0.0, 0.4, 0.6, 2.0, 2.1, 7.7, 15.5])
-@pytest.mark.parametrize("angle", [0.0, 0.7])
-def test_lattice_covers_the_whole_rectangle(short, long, angle):
-    rectangle = Rectangle(3.0, -8.0, angle, short, max(short, long))
-    lattice = hexagon_lattice(rectangle, 1.0)
-    union = shapely.union_all(lattice.cells, grid_size=1e-9)
-    assert rectangle.polygon().difference(union).area == pytest.approx(0.0, abs=1e-8)
-
-
 def test_centres_lie_as_the_paper_says():
     d = 7.0
     rectangle = Rectangle(0.0, 0.0, 0.0, 60.0, 150.0)
@@ -287,21 +276,6 @@ def test_squares_and_stripes_tile_and_alternate(lay):
     pairs, _ = shared_borders(lattice.cells)
     assert (lattice.colour[pairs[:, 0]] != lattice.colour[pairs[:, 1]]).all()
     assert shapely.get_coordinates(shapely.centroid(lattice.cells)) == pytest.approx(lattice.centres)
-
-
-@pytest.mark.parametrize("name", ["hexagons", "squares", "stripes", "whole"])
-def test_every_partition_plans_a_layer_of_every_sort(name):
-    holes = shapely.union_all([shapely.Point(30 + 40 * i, 40).buffer(9) for i in range(5)])
-    section = shapely.union_all([PLATE.difference(holes), shapely.box(219, 60, 300, 64)])
-    plan = plan_scan(section, with_partition(name), layer=3)
-    kinds = set(plan.island_kind.tolist())
-    assert kinds - {"thin wall", "gap", "whole"} == ({name[:-1]} if name != "whole" else set())
-    assert np.array_equal(np.sort(plan.order), np.arange(len(plan.islands)))
-    assert shapely.union_all(plan.islands).area == pytest.approx(plan.island_area_mm2.sum(), rel=1e-6)
-    assert plan.metrics["covered_fraction"][0] >= 0.98
-    assert plan.settings["scan"]["partition"] == name
-    lines = shapely.linestrings(plan.vectors[["x0", "y0", "x1", "y1"]].to_numpy().reshape(-1, 2, 2))
-    assert section.buffer(1e-9).covers(shapely.MultiLineString(list(lines)))
 
 
 # -- degenerate layers ---------------------------------------------------------------------------------

@@ -255,15 +255,6 @@ def test_values_move_to_the_nearest_cell_that_touches():
         assert not found[~to].any()
 
 
-def test_a_side_is_nearer_than_a_corner():
-    to = np.array([[True, False, False], [False, False, True], [False, False, False]])
-    found, moved = np.zeros((3, 3)), np.zeros((3, 3), bool)
-    moved[1, 1] = True
-    moved_to_neighbours(found, np.full((3, 3), 5.0), moved, to)
-    assert found[1, 2] == 5.0
-    assert found.sum() == 5.0
-
-
 # -- the picture of a layer's metal shows each cell by its height, and leaves what lies beside the part white --
 
 

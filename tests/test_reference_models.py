@@ -31,8 +31,7 @@ from ebamcheck_models import (
 )
 from ebamcheck_models import impeller as impeller_shape
 from ebamcheck_models.__main__ import main
-from ebamcheck_models.narrow import WIDTHS_MM
-from ebamcheck_models.polyhedra import Polyhedron
+from ebamcheck_models.polyhedra import WIDTHS_MM, Polyhedron
 from ebamcheck_models.two_spheres import lens_area
 
 ALL = pytest.mark.parametrize("model", MODELS.values(), ids=MODELS)

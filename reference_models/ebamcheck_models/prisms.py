@@ -17,16 +17,17 @@ import numpy as np
 import shapely
 from numpy.typing import ArrayLike
 
-from ebamcheck.mesh.part import Part
-from ebamcheck_models.model import (
-    SECTION_TOLERANCE_MM,
-    Floats,
-    Solid,
-    make_part,
-    rotation,
-    single,
+from ebamcheck.mesh.part import Part, from_arrays
+from ebamcheck_models.model import SECTION_TOLERANCE_MM, Floats, Solid, rotation, single
+from ebamcheck_models.outlines import (
+    COMPLEX_STEP,
+    Outline,
+    Piece,
+    circle,
+    polygon,
+    rounded_polygon,
+    rounded_rectangle,
 )
-from ebamcheck_models.outlines import COMPLEX_STEP, Outline, Piece
 from ebamcheck_models.sampling import outline_samples
 from ebamcheck_models.walls import Face, Wall, WalledModel
 
@@ -145,7 +146,7 @@ class TurnedPrism(Solid):
     def tessellate(self, tolerance_mm: float) -> Part:
         """Mesh of the upright prism, turned and rounded to 32-bit floats."""
         part = self.upright.tessellate(tolerance_mm)
-        return make_part(single(part.vertices @ self.turn.T), part.faces.astype(np.int64), self.name)
+        return from_arrays(single(part.vertices @ self.turn.T), part.faces.astype(np.int64), self.name)
 
     @property
     def _slope(self) -> float:
@@ -310,3 +311,55 @@ def _spread_along(outline: Outline, x: float, y: float) -> tuple[float, float]:
     """Least and greatest x * X + y * Y of an outline's points (X, Y)."""
     ends = [u for run in _runs(outline, x, y) for u, _ in run.ends]
     return min(ends), max(ends)
+
+
+CUBE = prism(
+    "cube",
+    "cube of 20 mm, a corner at the origin",
+    polygon([(0.0, 0.0), (20.0, 0.0), (20.0, 20.0), (0.0, 20.0)]),
+    20.0,
+)
+
+PRISM = prism(
+    "prism",
+    "rounded plate of 160 x 100 x 40 mm with two round holes, an L-shaped one and a triangular one",
+    rounded_rectangle(80.0, 50.0, 18.0),
+    40.0,
+    (
+        circle(-50.0, 20.0, 15.0),
+        circle(-50.0, -25.0, 8.0),
+        polygon([(-15.0, -30.0), (25.0, -30.0), (25.0, -15.0), (0.0, -15.0), (0.0, 30.0), (-15.0, 30.0)]),
+        polygon([(20.0, 10.0), (60.0, -20.0), (60.0, 30.0)]),
+    ),
+)
+
+
+LEG_MM = 12.0
+BRACE_X_MM, BRACE_Y_MM = 82.0, 62.0
+"""Where the outer side of the brace would meet the insides of the legs."""
+BRACE_MM = 0.8
+
+
+def _bracket() -> Prism:
+    along, up = BRACE_X_MM - LEG_MM, BRACE_Y_MM - LEG_MM
+    # The inner side of the brace is parallel to the outer one, nearer to the corner by its thickness.
+    nearer = 1.0 - BRACE_MM * math.hypot(along, up) / (along * up)
+    outside = [
+        *((0.0, 0.0, 16.0), (112.0, 0.0, 6.0), (112.0, LEG_MM, 5.0), (BRACE_X_MM, LEG_MM, 6.0)),
+        *((LEG_MM, BRACE_Y_MM, 6.0), (LEG_MM, 90.0, 5.0), (0.0, 90.0, 6.0)),
+    ]
+    inside = [
+        (LEG_MM, LEG_MM, 8.0),
+        (LEG_MM + nearer * along, LEG_MM, 2.0),
+        (LEG_MM, LEG_MM + nearer * up, 2.0),
+    ]
+    return prism(
+        "bracket",
+        "angle bracket of 112 x 90 x 30 mm: fillets, two bolt holes, a brace of 0.8 mm between the legs",
+        rounded_polygon(outside),
+        30.0,
+        (rounded_polygon(inside), circle(100.0, 0.5 * LEG_MM, 3.0), circle(0.5 * LEG_MM, 79.0, 3.0)),
+    )
+
+
+BRACKET = _bracket()
