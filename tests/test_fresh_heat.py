@@ -157,7 +157,7 @@ def test_an_outline_too_far_away_to_be_felt_changes_nothing():
     points = np.random.default_rng(2).uniform(0.0, 30.0, (40, 2))
     spread = np.broadcast_to(np.linspace(0.5, 9.0, 7), (40, 7))
     felt_mm = math.sqrt(2.0 * FELT * 9.0)
-    along = np.linspace(0.0, 60.0, 900)
+    along = np.linspace(0.0, 60.0, 300)
 
     def plate(end_mm):
         wavy = np.column_stack([end_mm + np.sin(along), along - 15.0])

@@ -122,7 +122,7 @@ def by_quadrature(points, below, time, cooled):
     return POWER / LINEAR.heat_capacity_j_mm3k * result
 
 
-@pytest.mark.parametrize("cooled", [True, False])
+@pytest.mark.parametrize("cooled", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_a_moving_source_is_within_a_twentieth_of_a_kelvin_at_300_points_and_5_times(cooled):
     plane = rectangle_modes(WIDTH, HEIGHT, 6.0)
     model = HeatModel(plane, depth_modes(DEPTH, 150, cooled), LINEAR, LAYER)

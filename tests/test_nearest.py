@@ -110,9 +110,9 @@ def by_shapely(driven, wanted):
     return away
 
 
-@pytest.mark.parametrize("noise_mm", [0.0, 1e-3, 0.5])
-@pytest.mark.parametrize("shift", [0.0, 0.37])
-@pytest.mark.parametrize("spans", [7, 60, 400])
+@pytest.mark.parametrize(
+    ("noise_mm", "shift", "spans"), [(0.0, 0.0, 60), (1e-3, 0.37, 7), (0.5, 0.37, 60), (0.5, 0.0, 400)]
+)
 def test_the_farthest_place_is_that_of_every_place_looked_for(noise_mm, shift, spans):
     driven, wanted = wavy(90, 9, shift, noise_mm), wavy(spans, 17)
     found, expected = shape_distance(driven, wanted), by_shapely(driven, wanted)

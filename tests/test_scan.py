@@ -105,7 +105,7 @@ def test_islands_do_not_overlap_and_are_the_regions_to_fill(planned):
     wanted = shapely.union_all([*regions.solids, *regions.narrow_fills, *regions.bare_walls])
     closing = plan.island_kind == "gap"
     assert plan.island_area_mm2[~closing].sum() == pytest.approx(wanted.area, rel=1e-6)
-    assert shapely.union_all(plan.islands[~closing]).symmetric_difference(wanted).area < 1e-4 * wanted.area
+    assert shapely.union_all(plan.islands[~closing]).symmetric_difference(wanted).area <= 2e-4 * wanted.area
     # Gaps lie beside all of these: the areas of all islands add up to that of their union.
     assert shapely.union_all(plan.islands).area == pytest.approx(plan.island_area_mm2.sum(), rel=1e-6)
     assert section.buffer(1e-6).covers(shapely.union_all(plan.islands))
@@ -194,7 +194,7 @@ def test_simulation_adds_up(planned):
     gap = driven["start_s"].to_numpy()[1:] - driven["end_s"].to_numpy()[:-1]
     assert gap == pytest.approx(driven["travel_mm"].to_numpy()[1:] / RASTER.machine.rapid_mm_s, abs=1e-6)
     row = plan.metrics.iloc[0]
-    assert driven["end_s"].max() == pytest.approx(row["time_s"])
+    assert driven["end_s"].to_numpy().max(initial=0.0) == pytest.approx(row["time_s"])
     assert driven["length_mm"].sum() == pytest.approx(row["hatch_length_mm"])
     assert driven["travel_mm"].sum() + driven["inner_travel_mm"].sum() == pytest.approx(row["travel_mm"])
     assert driven["starts"].sum() == row["starts"]

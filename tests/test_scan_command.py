@@ -21,6 +21,7 @@ from ebamcheck.heat import contour_modes
 from ebamcheck.showing.colours import SCALE as COLOURS
 from ebamcheck.showing.pictures import TemperatureScale, field_svg, frontier, islands_svg, pareto_svg
 
+AT_12 = ("--height", "12")
 SVG = "{http://www.w3.org/2000/svg}"
 
 
@@ -119,19 +120,18 @@ def test_json_of_the_order_of_the_settings(plate, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("--orders", "raster,spiral"), "unknown order: choose one of farthest"),
-        (("--orders", "random", "--seeds", "0"), "--seeds 0: give at least 1"),
-        (("--export", "foam", "-o", "x"), "--export 'foam': choose from 3dthesis"),
-        (("--export", "all"), "--export: give the folder with -o"),
+        ((*AT_12, "--orders", "raster,spiral"), "unknown order: choose one of farthest"),
+        ((*AT_12, "--orders", "random", "--seeds", "0"), "--seeds 0: give at least 1"),
+        ((*AT_12, "--export", "foam", "-o", "x"), "--export 'foam': choose from 3dthesis"),
+        ((*AT_12, "--export", "all"), "--export: give the folder with -o"),
         (("--height", 31), "31 mm is outside of the part 'plate', which reaches from z = 0 to 30 mm"),
         (("--all", "--orders", "all"), "--all plans in one order, not 9"),
-        (("--all",), "give either --height Z for one layer, or --all"),
-        (("--pause", "5"), "--pause: the wait between layers belongs to --all"),
+        ((*AT_12, "--all"), "give either --height Z for one layer, or --all"),
+        ((*AT_12, "--pause", "5"), "--pause: the wait between layers belongs to --all"),
     ],
 )
 def test_what_cannot_be_planned_is_refused_in_one_line(plate, tmp_path, arguments, message):
-    height = () if "--height" in arguments else ("--height", 12)
-    done = ebamcheck("scan", plate, *height, *arguments, cwd=tmp_path)
+    done = ebamcheck("scan", plate, *arguments, cwd=tmp_path)
     assert done.returncode == 2
     assert message in done.stderr
     assert len(done.stderr.splitlines()) == 1

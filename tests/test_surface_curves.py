@@ -92,7 +92,6 @@ def test_no_curve_is_farther_from_its_part_than_the_contour(part: CurvePart) -> 
         errors_of(one, truth) for one in (layers, fit(layers, part=mesh))
     )
     slack_mm = 2e-4  # of the truth's chords, and of files with four decimals
-    print(part.name, "|", part.kind, rms, fitted_rms, largest, farthest)
     assert fitted_rms <= (1.02 if part.kind == "noise" else 1.0 - GAINS.get(part.kind, 0.0)) * rms + slack_mm
     assert farthest <= 1.05 * largest + slack_mm
     assert part.kind != "flat" or farthest <= slack_mm
