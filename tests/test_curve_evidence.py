@@ -227,14 +227,6 @@ def test_what_fell_back_is_told_with_place_cause_and_remedy(sound: FitVerdict) -
 # -- edges ---------------------------------------------------------------------------------------------------
 
 
-def test_layers_that_know_their_part_are_lifted_without_it() -> None:
-    part = TORUS.tessellate(0.3)
-    layers = slice_part(part, [1.0, 7.0])
-    plain, given = fit(layers), fit(layers, part=part)
-    assert np.array_equal(plain.control, given.control)
-    assert not np.array_equal(plain.control, fit(replace(layers, mesh=None)).control)
-
-
 def test_contours_that_are_not_on_edges_say_so() -> None:
     part = TORUS.tessellate(0.3)
     layers = slice_part(part, [1.0, 7.0])

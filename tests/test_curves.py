@@ -37,23 +37,6 @@ from ebamcheck.slicers.slicing import slice_part
 # -- oracles ---------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("ring", [wavy(), stadium(), circle(24)], ids=["wavy", "stadium", "circle"])
-def test_geomdl_and_scipy_evaluate_the_same_curve(ring: np.ndarray) -> None:
-    curves = one(ring)
-    for i in splines(curves):
-        piece = curves.piece(i)
-        at = np.linspace(0, piece.knots[-1], 97)
-        ours = curves.evaluate(i, at)
-        scipys = BSpline(piece.knots, piece.control, 3)(at)
-        assert np.abs(ours - scipys).max() < EXACT_MM
-        geomdls = GeomdlBSpline.Curve()
-        geomdls.degree = 3
-        geomdls.ctrlpts = piece.control.tolist()
-        geomdls.knotvector = (piece.knots / piece.knots[-1]).tolist()
-        theirs = np.array(geomdls.evaluate_list((at / at[-1]).tolist()))
-        assert np.abs(ours - theirs).max() < EXACT_MM
-
-
 def test_scipys_interpolation_gives_the_same_control_points() -> None:
     for ring, boundary in ((wavy(), "periodic"), (wavy()[:30], None)):
         curves = one(ring) if boundary else path(ring)
@@ -363,8 +346,8 @@ def test_a_circle_is_written_as_arcs_of_its_radius() -> None:
 
 def test_geomdl_and_scipy_evaluate_every_piece_alike() -> None:
     part = MODELS["ladder"].tessellate(0.4)
-    for method in ("surface", "bounded"):
-        curves = fit(sliced(part, 2), method, part=part)
+    lifted = (fit(sliced(part, 2), method, part=part) for method in ("surface", "bounded"))
+    for curves in (*lifted, *map(one, (wavy(), stadium(), circle(24)))):
         for i in range(curves.kind.size):
             piece = curves.piece(i)
             if piece.kind == SPLINE:

@@ -14,7 +14,7 @@ from section_zoo import ZOO, star
 from shapely import affinity
 
 from ebamcheck.geometry.raster import bare_samples
-from ebamcheck.geometry.regions import mean_width_mm, split_thin
+from ebamcheck.geometry.regions import split_thin
 from ebamcheck.scan.filling.fill import LEAST_SPOT, bare_spots, gap_beads, spot_widths_mm, spots_to_close
 from ebamcheck.scan.filling.hatch import SHORTEST_LINE, hatch, lines_across, widest_pitch_mm
 from ebamcheck.scan.filling.walls import LEAST_APART, LEAST_BEAD, TAPER, TAPER_SHARE, wall_lines
@@ -107,30 +107,6 @@ def test_lines_leave_no_gap(depth, spacing):
     assert depth / count <= widest * (1 + 1e-6)
     assert widest <= 1.0
     assert count == 1 or depth / (count - 1) > spacing * 0.999
-
-
-# -- walls ---------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    "wall",
-    [
-        shapely.union_all([shapely.box(0, 0, 90, 4), shapely.box(40, 0, 44, 60)]),
-        shapely.union_all([shapely.box(0, 0, 90, 4), shapely.box(43, -50, 47, 50)]),
-        shapely.Polygon([(0, -3), (120, -1), (120, 1), (0, 3)]),
-        shapely.LineString([(0, 0), (60, 0), (80, 50), (30, 70)]).buffer(2.2),
-        shapely.LineString([(40 * math.cos(t), 40 * math.sin(t)) for t in np.linspace(0, 5, 90)]).buffer(
-            2.0, cap_style="flat"
-        ),
-    ],
-    ids=["T", "cross", "taper", "bent", "arc"],
-)
-def test_beads_along_a_wall_cover_it_and_stay_inside(wall):
-    lines = shapely.MultiLineString(wall_lines(wall, WIDTH, SPACING))
-    assert wall.buffer(1e-9).covers(lines)
-    assert lines.buffer(WIDTH / 2).intersection(wall).area >= 0.99 * wall.area
-    width = mean_width_mm(wall)
-    assert lines.length == pytest.approx(wall.area / width, rel=0.12), "about once along the wall, no more"
 
 
 # -- thin against solid --------------------------------------------------------------------------------
@@ -279,15 +255,6 @@ def test_walls_up_to_a_bead_have_one(thick):
     assert through.distance(foot) == pytest.approx(LEAST_APART * SPACING, rel=0.01)
 
 
-def test_a_wall_of_a_bead_and_a_bit_has_two_and_a_junction_adds_none():
-    assert len(beads_of(shapely.box(0, 0, 100, 6.5))) == 2
-    lines = beads_of(ZOO["T of 1.2 beads"])
-    assert len(lines) == 4
-    lengths = sorted(line.length for line in lines)
-    assert lengths[2:] == pytest.approx([100.0, 100.0], abs=2.0)
-    assert lengths[:2] == pytest.approx([74.0, 74.0], abs=4.0)
-
-
 def test_the_longest_line_of_a_wall_stays_however_short():
     for size in (0.3, 1.0, 2.5):
         (line,) = beads_of(shapely.box(0, 0, size, 0.2 * size))
@@ -324,18 +291,6 @@ def bend(radius, angle_deg, thick, leg=25.0):
     way = np.array([np.cos(turn[-1]), np.sin(turn[-1])])
     middle = shapely.LineString(np.vstack([[-leg, 0.0], arc, arc[-1] + leg * way]))
     return middle.buffer(0.5 * thick, cap_style="flat", quad_segs=6)
-
-
-@pytest.mark.parametrize(("radius", "angle_deg", "thick"), [(3, 90, 11), (4, 120, 12), (4, 120, 13)])
-def test_no_bead_turns_back_on_itself_within_a_bend(radius, angle_deg, thick):
-    # The bead inside of the bend lies beside a middle that bends tighter than it is far from it.
-    lines = wall_lines(bend(radius, angle_deg, thick), WIDTH, SPACING)
-    assert len(lines) >= 2
-    for line in lines:
-        steps = np.diff(line, axis=0)
-        cosines = (steps[1:] * steps[:-1]).sum(axis=1)
-        cosines /= np.hypot(*steps[1:].T) * np.hypot(*steps[:-1].T)
-        assert cosines.min(initial=1.0) > -0.5
 
 
 # -- spots ---------------------------------------------------------------------------------------------

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 import shapely
 from closed_form_heat import after_line, rectangle_modes
-from scipy.special import erf
 from scipy.stats import kendalltau
 
 from benchmarks.referee import judged, referee, referee_of, refereed_entries
-from ebamcheck.errors import GeometryError
 from ebamcheck.heat import HeatModel, Medium, depth_modes
 from ebamcheck.heat.medium import enthalpy_tables
 from ebamcheck.scan.plan.comparing import OrderComparison
@@ -61,34 +57,6 @@ def test_what_is_absorbed_is_stored_conducted_away_or_radiated(base):
     assert found.hottest_k > PROFILE.material.liquidus_k, "the beam melts"
 
 
-def test_a_warm_half_melts_and_cools_as_an_error_function():
-    # Constant data: a step of temperature spreads as erf (Carslaw & Jaeger 1959, section 2.4).
-    config = PROFILE.changed(material=CONSTANT, process={"base": "insulated"})
-    model = referee(shapely.box(0, 0, 120, 3), config, 0.0, 1.5)
-    content = model.cold()
-    content[:, :, :40] = model.tables.heat_content(893.15)
-    found = judged(model, content, np.zeros((0, 4)), np.zeros(0), np.zeros(0), 0.0, WHOLE, np.zeros(1), 20.0)
-    alpha = 20.0 / (4430 * 700) * 1e6
-    x = (np.arange(80) + 0.5) * 1.5
-    exact = 300 * (1 - erf((x - 60) / math.sqrt(4 * alpha * 20.0)))
-    warm = model.tables.temperature(found.content[0, 0]) - model.ambient_k
-    assert warm == pytest.approx(exact, abs=1.0)
-
-
-@pytest.mark.parametrize("late", [0.0, 0.2, 0.45, 0.7, 0.95])
-def test_an_island_is_read_before_its_own_beam_comes(late):
-    # Wherever it is entered between two steps, a cold spot is cold: nothing of its own beam is read.
-    model = referee(shapely.box(0, 0, 60, 42), PROFILE, 5.0, 3.0)
-    enters_s = (10 + late) * model.longest_step_s
-    spot = shapely.buffer(shapely.points(LINE[:, :2]), 3.0)
-    found = judged(
-        model, model.cold(), LINE, np.array([enters_s]), np.array([enters_s + 5.0]), 6000.0, spot,
-        np.array([enters_s]), enters_s + 5.0,
-    )  # fmt: skip
-    assert found.absorbed_j == pytest.approx(30000.0, rel=1e-12)
-    assert found.entry_k == pytest.approx(0.0, abs=1e-6)
-
-
 def test_on_constant_data_it_agrees_with_the_linear_model():
     config = PROFILE.changed(material=CONSTANT)
     model = referee(shapely.box(0, 0, 60, 42), config, 5.0, 2.0)
@@ -123,8 +91,3 @@ def test_it_ranks_the_islands_of_a_plan_as_the_linear_model_does():
         rest = result.rank > 0
         assert kendalltau(entry_k[rest], result.entry_k[rest]).statistic > 0.7
     assert hottest["thermal"] < hottest["farthest"] < hottest["raster"]
-
-
-def test_no_room_for_a_cell_is_said():
-    with pytest.raises(GeometryError, match="no room for a cell of 9 mm"):
-        referee(shapely.Polygon([(0, 0), (27, 26.5), (27, 27)]), PROFILE, 0.0, 9.0)

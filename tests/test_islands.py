@@ -189,15 +189,6 @@ def test_a_wide_island_turns_away_from_a_narrow_one():
     assert long_direction_deg(affinity.rotate(strip, 25)) % 180.0 == pytest.approx(25.0)
 
 
-def test_no_turn_from_island_to_island_leaves_the_layer_one_direction():
-    solids = SOLIDS["gear"]
-    found = partition(solids, laid_over(solids, "hexagons", 12.0, 0.1), WIDTH, SPACING)
-    width, _ = equivalent_rectangles_mm(found.polygons)
-    for angle in (0.0, 180.0):
-        asked = np.degrees(hatch_directions(found, SPACING, 40.0, angle))
-        assert asked[width >= SPACING] % 180.0 == pytest.approx(40.0)
-
-
 def test_plans_take_their_directions_from_it():
     plan = plan_scan(ZOO["crooked 100"], PROFILE.changed(scan={"partition": "squares"}), layer=3)
     width, _ = equivalent_rectangles_mm(plan.islands)

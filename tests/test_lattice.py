@@ -78,13 +78,6 @@ def test_paper_rectangle_is_the_least_of_equation_11(seed):
     assert found.polygon().buffer(1e-9).covers(shapely.MultiPoint(points))
 
 
-def test_rectangle_without_area():
-    assert minimum_rectangle([[3.0, 4.0]]).area_mm2 == 0.0
-    line = minimum_rectangle([[0.0, 0.0], [1.0, 1.0], [3.0, 3.0]])
-    assert line.long_mm == pytest.approx(3 * math.sqrt(2))
-    assert line.short_mm == pytest.approx(0.0, abs=1e-12)
-
-
 @pytest.mark.parametrize("points", [np.zeros((0, 2)), [[0.0, math.nan]]])
 def test_rectangle_of_nothing_is_an_error(points):
     with pytest.raises(GeometryError, match="minimum rectangle"):
@@ -241,14 +234,6 @@ def test_the_place_turns_by_the_angle_and_shifts_by_the_shares():
 def rectangle_frame(rectangle, way):
     c, s = math.cos(rectangle.angle_rad), math.sin(rectangle.angle_rad)
     return c * way[0] + s * way[1], -s * way[0] + c * way[1]
-
-
-def test_shares_spread_evenly():
-    shares = np.array([shift_shares(k) for k in range(1, 101)])
-    assert ((shares >= 0.0) & (shares < 1.0)).all()
-    counts, _, _ = np.histogram2d(*shares.T, bins=5, range=[[0, 1], [0, 1]])
-    assert counts.min() >= 2
-    assert counts.max() <= 6
 
 
 def test_a_rectangle_along_a_direction_holds_the_points_tightly():

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 
 import numpy as np
@@ -12,6 +11,7 @@ from parts import box, join, sphere, tilted, torus
 from prism_program import CONFIG, Made
 from shapely import affinity
 
+from benchmarks.curve_parts_solids import extruded
 from ebamcheck.checks.mesh_checks import between_check
 from ebamcheck.checks.metal import deposit
 from ebamcheck.checks.metal_rules import NARROW, deposit_checks
@@ -250,29 +250,16 @@ def test_what_stands_upright_is_as_wide_as_it_is_narrow(walls):
 # -- what no layer has --------------------------------------------------------------------------------------
 
 
-CUTS = (np.arange(4) + 0.5) * 1.5
 BLOCK = box((0, 0, 0), (40, 30, 6))
 
 
-def bored(radius_mm: float, z_mm: float, sides: int = 24) -> Part:
-    """A block with a round bore along X through it."""
-    turn = 2.0 * np.pi * np.arange(sides) / sides
+def bored(radius_mm: float, z_mm: float) -> Part:
+    """A block of 40 x 30 x 6 mm with a round bore along X through it."""
+    turn = -2.0 * np.pi * np.arange(24) / 24
     ring = np.column_stack([15.0 + radius_mm * np.cos(turn), z_mm + radius_mm * np.sin(turn)])
     outer = np.array([[0.0, 0.0], [30.0, 0.0], [30.0, 6.0], [0.0, 6.0]])
-    points = np.vstack([outer, ring])
-    quarter = sides // 4
-    # Each corner of the block with the quarter of the ring next to it, then the four sides of the block.
-    faces = []
-    for corner, first in ((0, 2), (1, 3), (2, 0), (3, 1)):
-        at = [4 + (first * quarter + k) % sides for k in range(quarter + 1)]
-        faces += [(corner, b, a) for a, b in itertools.pairwise(at)]
-        faces.append((corner, (corner + 1) % 4, at[-1]))
-    ends = np.array(faces)
-    count = len(points)
-    walls = [(a, (a + 1) % 4) for a in range(4)] + [(4 + (k + 1) % sides, 4 + k) for k in range(sides)]
-    tube = [t for a, b in walls for t in ((a, a + count, b), (b, a + count, b + count))]
-    flat = np.vstack([np.column_stack([np.full(count, x), points]) for x in (0.0, 40.0)])
-    return from_arrays(flat, np.vstack([ends[:, ::-1], ends + count, np.array(tube)[:, ::-1]]))
+    upright = extruded([outer, ring], 40.0)
+    return from_arrays(upright.vertices[:, [2, 0, 1]], upright.faces)
 
 
 def found(part: Part, **process: float) -> tuple:

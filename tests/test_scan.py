@@ -141,17 +141,6 @@ def test_deposited_area_is_the_area_to_fill():
     assert laid == pytest.approx(plan.island_area_mm2.sum(), rel=0.06)
 
 
-def test_islands_turn_with_the_part():
-    section = affinity.rotate(blade(), 10, origin=(0, 0))
-    turned = affinity.rotate(section, 20, origin=(0, 0))
-    one, two = plan_scan(section, PROFILE), plan_scan(turned, PROFILE)
-    back = affinity.rotate(shapely.MultiPoint(two.island_centroid), -20, origin=(0, 0))
-    distance = shapely.distance(shapely.points(one.island_centroid)[:, None], np.array(back.geoms)[None, :])
-    assert len(one.islands) == len(two.islands)
-    assert np.median(distance.min(axis=1)) < 1e-6
-    assert distance.min(axis=1).max() < 0.2
-
-
 def test_hatch_turns_from_layer_to_layer_and_from_hexagon_to_hexagon():
     for layer in (0, 1, 7):
         plan = plan_scan(shapely.box(0, 0, 200, 120), PROFILE, layer=layer)
@@ -337,16 +326,6 @@ def test_orders_are_what_they_say(name, seed):
     centroid = np.random.default_rng(seed).uniform(0, 100, (40, 2))
     order = scan_order(name, islands_at(centroid, seed))
     assert order.tolist() == brute_force(name, centroid, int(order[0]))
-
-
-def test_start_is_random_but_seeded_by_seed_and_layer():
-    centroid = np.random.default_rng(0).uniform(0, 100, (200, 2))
-    starts = {
-        (s, k): int(scan_order("nearest", islands_at(centroid, s, k))[0]) for s in range(5) for k in range(5)
-    }
-    again = {(s, k): int(scan_order("farthest", islands_at(centroid, s, k))[0]) for s, k in starts}
-    assert starts == again
-    assert len(set(starts.values())) > 15
 
 
 def test_ties_do_not_hang_on_rounding():

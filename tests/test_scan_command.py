@@ -191,14 +191,6 @@ def test_an_interrupt_keeps_what_is_done(plate, tmp_path, asked, file, told):
         assert all(line.count(",") == lines[0].count(",") for line in lines)
 
 
-def test_colours_run_from_end_to_end():
-    islands = np.array([shapely.box(10 * n, 0, 10 * n + 10, 10) for n in range(3)], object)
-    root = ElementTree.fromstring(islands_svg(islands, np.array([0.0, 5.0, 10.0]), "a < b", " K"))
-    assert [p.get("fill") for p in root.findall(f"{SVG}path")] == ["#440154", "#21918c", "#fde725"]
-    texts = [t.text for t in root.findall(f"{SVG}text")]
-    assert texts == ["a < b", "0", "5", "10", "0 K", "10 K"]
-
-
 def image_of(picture):
     address = ElementTree.fromstring(picture).find(f".//{SVG}image").get("href")
     assert address.startswith("data:image/png;base64,")

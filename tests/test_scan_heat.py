@@ -230,21 +230,6 @@ def entered_at(islands, order, options):
     return rise_k[np.arange(len(order)), options], travel
 
 
-def test_a_field_of_one_mode_is_read_at_the_ends_by_its_own_shape(choices):
-    # Nothing heats before the first island: it finds what the layer begins with, at the place of each end.
-    heat, schedule = choices.cold_heat(), choices.known_schedule
-    start_k = heat.model.cold()
-    start_k[1, 0] = 700.0
-    warm = heat.__class__(**{**vars(heat), "start_k": start_k})
-    first = np.arange(len(choices))
-    zeros = np.zeros(len(choices), np.int64)
-    start, end, _ = clocked(schedule, first, RAPID, zeros)
-    rise_k = rises_at_entries(warm, modes_at_entries(warm, schedule), first, start, end, zeros)
-    exact = heat.model.plane.at(schedule.entry[0]) @ (start_k @ heat.modes.in_layer)
-    assert np.ptp(exact) > 0.0
-    assert rise_k[0] == pytest.approx(exact)
-
-
 @pytest.mark.parametrize("seed", range(12))
 def test_no_options_at_all_are_better_at_a_price(seed):
     random = np.random.default_rng(seed)

@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 import itertools
-import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import shapely
 from islands_of_a_plate import FREE, PLATE, PROFILE, RAPID, islands_of, laid_plate, times_of
-from shapely import affinity
 
 from ebamcheck.geometry.regions import layer_section
-from ebamcheck.heat.influence import FALLEN, LEAST_RATE, YOUNG_NODES, influence, old_heat, work_out
-from ebamcheck.heat.near_field import entry_rise, young_mean
-from ebamcheck.scan.filling.hatch import Vectors
+from ebamcheck.heat.influence import FALLEN, LEAST_RATE, influence, old_heat
 from ebamcheck.scan.order.entries import clocked, entry_options, entry_points, high_mean
 from ebamcheck.scan.order.orders import scan_order
 from ebamcheck.scan.order.search import (
@@ -79,32 +75,6 @@ def test_old_heat_of_the_table_is_the_sum_over_all_modes(choices):
             by_mode = (modes.in_layer**2 * lasting).sum(axis=1) * modes.mean[:, source]
             exact = modes.source_k_s[source] * modes.mean.T @ by_mode
             assert rise[:, source, n] == pytest.approx(exact, abs=3e-6 * np.abs(exact).max())
-
-
-def test_entries_of_the_table_are_those_of_single_pieces(choices):
-    heat, time_s = choices.cold_heat(), choices.known_schedule.time_s
-    near, source_k_s = heat.fresh, heat.modes.source_k_s
-    table = influence(heat, time_s, 300.0).fresh
-    since = near.horizon_s * (np.arange(YOUNG_NODES) / (YOUNG_NODES - 1)) ** 2
-    for i in range(0, len(choices), 3):
-        for row in range(near.first[i], near.first[i + 1]):
-            for left_by in range(4 * (near.other[row] != i)):
-                work_out(table, row, i, near.other[row], left_by)
-    greatest = float(np.abs(table.excess_k).max())
-    compared = 0
-    for i in range(0, len(choices), 3):
-        for p in range(near.first[i], near.first[i + 1]):
-            j = near.other[p]
-            assert table.slot[i, j] == p
-            if i == j:
-                assert not table.excess_k[p].any()
-                continue
-            for option, left_by, n in ((0, 3, 0), (1, 2, 4), (2, 1, 7), (3, 0, YOUNG_NODES - 1)):
-                entry = entry_rise(near, i, option, j, left_by, since[n], time_s[j])
-                exact = source_k_s[j] * (entry - young_mean(near, near.pair[p], since[n], time_s[j]))
-                assert table.excess_k[p, option, left_by, n] == pytest.approx(exact, abs=1e-6 * greatest)
-                compared += abs(exact) > 1e-3 * greatest
-    assert compared > 20
 
 
 def test_options_are_the_nearest_ones(choices):
@@ -200,46 +170,9 @@ def test_giving_moves_up_early_changes_nothing(choices):
 # -- orders planned with fresh heat -------------------------------------------------------------------------
 
 
-def placed(islands, angle_deg, shift_mm):
-    """Return the same islands turned and shifted as a whole."""
-    turn = np.deg2rad(angle_deg)
-    matrix = np.array([[math.cos(turn), math.sin(turn)], [-math.sin(turn), math.cos(turn)]])
-
-    def there(points):
-        return points @ matrix + shift_mm
-
-    def body(shape):
-        return affinity.translate(affinity.rotate(shape, angle_deg, origin=(0, 0)), *shift_mm)
-
-    polygons = np.empty(len(islands), object)
-    polygons[:] = [body(p) for p in islands.polygons]
-    schedule, lines = islands.known_schedule, islands.lines
-    return replace(
-        islands,
-        centroid=there(islands.centroid),
-        section=body(islands.section),
-        polygons=polygons,
-        schedule=replace(schedule, entry=there(schedule.entry), leave=there(schedule.leave)),
-        lines=Vectors(lines.island, there(lines.start), there(lines.end)),
-    )
-
-
 def cost_of(islands, order):
     start, end, travel = times_of(islands, order)
     return travel, np.maximum(*entry_points(islands.cold_heat(), islands.known_schedule, order, start, end))
-
-
-@pytest.mark.parametrize(
-    ("angle_deg", "shift_mm", "share"),
-    [(0.0, (300.0, -70.0), 1e-6), (90.0, (0.0, 0.0), 1e-6), (33.0, (5.0, 8.0), 0.05)],
-)
-def test_the_cost_does_not_depend_on_where_the_layer_lies(choices, angle_deg, shift_mm, share):
-    order = scan_order("thermal", choices)
-    travel, entry_k = cost_of(choices, order)
-    same_travel, same_k = cost_of(placed(choices, angle_deg, np.array(shift_mm)), order)
-    assert same_travel == pytest.approx(travel)
-    # Cells of the modes lie along the axes: a turn between changes them a little.
-    assert high_mean(same_k) == pytest.approx(high_mean(entry_k), rel=share)
 
 
 def test_touching_successors_are_counted_where_there_was_a_choice():

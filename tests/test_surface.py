@@ -52,7 +52,7 @@ from ebamcheck.surface.exact_forms import (
 )
 from ebamcheck.surface.exact_surfaces import ExactSurfaces
 from ebamcheck.surface.form_fits import told_forms
-from ebamcheck.surface.offsets import LARGEST_OFFSET, Offsets
+from ebamcheck.surface.offsets import LARGEST_OFFSET
 from ebamcheck.surface.part_surface import surface_of
 from ebamcheck.surface.planes import coordinate_error_mm, plane_tolerance_mm
 from ebamcheck.surface.regions import FREEFORM
@@ -200,16 +200,6 @@ def test_distances_grow_along_their_gradient(name: str) -> None:
             continue  # to first order only
         ahead = signed_distance(row, *(p + step * np.array(gradient)))[0]
         assert (ahead - off) / step == pytest.approx(1.0, abs=0.15 if name == "quadric" else 1e-5)
-
-
-@pytest.mark.parametrize("name", ["sphere", "cylinder", "cone", "torus", "plane"])
-def test_a_point_moved_by_its_distance_lies_on_the_surface(name: str) -> None:
-    row = FORMS[name]
-    for p in np.random.default_rng(2).uniform(-12.0, 12.0, (50, 3)):
-        off, *gradient = signed_distance(row, *p)
-        if name == "cone" and (p - row[PLACE : PLACE + 3]) @ row[OWN : OWN + 3] < 8.0:
-            continue  # behind the tip the nearest place is the tip
-        assert abs(signed_distance(row, *(p - off * np.array(gradient)))[0]) < 1e-9
 
 
 @pytest.mark.parametrize("name", FORMS)
@@ -405,67 +395,43 @@ def grid(n: int) -> Triangles:
     return _over_a_cube(on_ellipsoid, n)
 
 
-def offsets(mesh: Triangles) -> Offsets:
-    return surface_of(placed(mesh), SETTINGS).offsets
+def collapsed() -> Triangles:
+    """Collapses to the best place for planes leave vertices beyond the surface."""
+    mesh = quadric_decimated(grid(12), 0.25)
+    assert np.mean(np.linalg.norm(mesh.vertices / AXES_MM, axis=1) > 1.0) > 0.9
+    return mesh
 
 
-def outside_mm(mesh: Triangles) -> np.ndarray:
-    """How far vertices stand outside of the ellipsoid, nearly."""
-    return 20.0 * (np.linalg.norm(mesh.vertices / AXES_MM, axis=1) - 1.0)
+MESHES = {
+    "rows of a tessellator": (lambda: grid(12), 1.0),
+    "rows with vertices that split edges": (lambda: split_edges(grid(12), 120, 1e-5, 3), 1.0),
+    "scattered points of a surface": (lambda: irregular_convex(on_ellipsoid, 300, 3), 1.0),
+    "vertices that collapses left on the surface": (lambda: decimated(grid(16), 0.2), 1.0),
+    "vertices beyond the surface": (collapsed, 0.5),
+    "a solid after many collapses": (lambda: quadric_decimated(wedge(40.0, 30.0, 20.0, 4.0)(0.1), 0.25), 0.0),
+    "a few vertices of a cone": (lambda: lathe([(0.0, 0.0), (20.0, 0.0), (0.0, 40.0)])(0.1), 1.0),
+}
+"""Meshes, and the share of its lift that a vertex of them gets."""
 
 
-@pytest.fixture(scope="module")
-def quadric() -> Triangles:
-    return quadric_decimated(grid(12), 0.25)
+@pytest.mark.parametrize("name", MESHES)
+def test_vertices_are_lifted_as_far_as_they_lie_on_the_surface(name: str) -> None:
+    mesh, share = MESHES[name]
+    surface = surface_of(placed(mesh()), SETTINGS)
+    found = surface.offsets
+    assert found.lift_share == share
+    assert Lifting(surface).limits.share[FREEFORM] == share
+    if "rows" in name:
+        assert found.in_rows > 0.85
+    if "scattered" in name:
+        assert found.in_rows < 0.4
+        assert found.offset < 0.05 < LARGEST_OFFSET
+    if "beyond" in name:
+        assert found.offset > LARGEST_OFFSET
 
 
-def test_rows_of_a_tessellator_are_evidence() -> None:
-    found = offsets(grid(12))
-    assert found.in_rows > 0.95
-    assert found.lift_share == 1.0
-
-
-def test_vertices_that_split_edges_do_not_hide_the_rows() -> None:
-    mesh = split_edges(grid(12), 120, 1e-5, 3)
-    six = np.bincount(np.bincount(mesh.faces.reshape(-1)))[6] / len(mesh.vertices)
-    found = offsets(mesh)
-    assert six < 0.8 < 0.85 <= found.in_rows
-    assert found.lift_share == 1.0
-
-
-@pytest.mark.parametrize("points", [300, 1500])
-def test_scattered_points_of_a_surface_are_known_to_lie_on_it(points: int) -> None:
-    found = offsets(irregular_convex(on_ellipsoid, points, 3))
-    assert found.in_rows < 0.4
-    assert found.told >= 100
-    assert found.offset < 0.05 < LARGEST_OFFSET
-    assert found.lift_share == 1.0
-
-
-def test_collapses_onto_vertices_that_are_left_leave_them_on_the_surface() -> None:
-    mesh = decimated(grid(16), 0.2)
-    assert np.abs(outside_mm(mesh)).max() < 1e-9
-    assert offsets(mesh).lift_share == 1.0
-
-
-def test_collapses_to_the_best_place_for_planes_leave_vertices_beyond_the_surface(quadric: Triangles) -> None:
-    out = outside_mm(quadric)
-    assert np.mean(out > 0.0) > 0.9  # what is to be found out
-    found = offsets(quadric)
-    assert found.offset > LARGEST_OFFSET
-    assert found.lift_share == 0.5
-
-
-def test_half_of_a_lift_is_nearer_where_vertices_stand_beyond_the_surface(quadric: Triangles) -> None:
+def test_half_of_a_lift_is_nearer_where_vertices_stand_beyond_the_surface() -> None:
     truth = part_of(grid(60), "truth")
-    verdict = judge(Case("ellipsoid by quadrics", "by quadrics", part_of(quadric, "mesh"), truth, 2e-3))
+    verdict = judge(Case("ellipsoid by quadrics", "by quadrics", placed(collapsed()), truth, 2e-3))
     assert verdict.held, str(verdict)
     assert verdict.gain > 0.5, str(verdict)
-
-
-def test_what_is_left_of_a_solid_after_many_collapses_is_not_lifted() -> None:
-    mesh = quadric_decimated(wedge(40.0, 30.0, 20.0, 4.0)(0.1), 0.25)
-    part = placed(mesh)
-    normals = surface_of(part, SETTINGS)
-    assert normals.offsets.lift_share == 0.0
-    assert Lifting(normals).limits.share[FREEFORM] == 0.0

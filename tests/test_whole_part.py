@@ -60,17 +60,6 @@ def test_the_field_stays_where_it_was_and_the_new_layer_is_cold(cooled):
     assert np.abs(middle).max() < 0.35 * old.at(state, points).max()
 
 
-def test_what_the_new_section_does_not_cover_is_dropped():
-    whole, half = shapely.box(0, 0, 80, 40), shapely.box(0, 0, 40, 40)
-    old, new = body(whole, 20.0, False, largest=0.2), body(half, 20.0, False, largest=0.2)
-    state = old.after(after_spot(old, old.cold(), [[20.0, 20.0]], 300.0, 2.0), 8.0)
-    assert 250.0 < new.stored_j(carried(old, state, new)) <= 300.5
-    far = old.after(after_spot(old, old.cold(), [[60.0, 20.0]], 300.0, 2.0), 8.0)
-    assert abs(new.stored_j(carried(old, far, new))) < 50.0
-    back = carried(new, carried(old, state, new), old)
-    assert old.stored_j(back) == pytest.approx(new.stored_j(carried(old, state, new)), rel=0.03)
-
-
 def rows_of_six(base, emissivity):
     config = Config().changed(
         process={"base": base, "interpass": "off"},
