@@ -1,4 +1,4 @@
-"""Curves: laws of the fit, and geomdl, SciPy and closed forms as independent oracles."""
+"""Curves through points: laws of the fit, data it must not stumble over, and geomdl, SciPy and closed forms as oracles."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Fresh heat beside the modes: against integrals, closed forms and converged modes."""
+"""Fresh heat beside the modes: against integrals, closed forms and plain sums."""
 
 from __future__ import annotations
 

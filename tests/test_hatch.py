@@ -1,4 +1,4 @@
-"""Lines in islands and along walls: closed forms, and shapely as oracle."""
+"""Lines in islands, beads along walls and in gaps: closed forms, laws, and shapely as oracle."""
 
 from __future__ import annotations
 

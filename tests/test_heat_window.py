@@ -1,4 +1,4 @@
-"""The window of heat: every bead has the power that melts its own wire, and no wait leaves the metal too cold for it."""
+"""Every bead has the power that melts its own wire, no wait leaves the metal too cold, and the text alone tells both."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The smallest rectangle and the hexagons laid over it: closed forms, laws and independent oracles."""
+"""Lattices of hexagons, squares and stripes: closed forms, laws, and where their cells lie from layer to layer."""
 
 from __future__ import annotations
 

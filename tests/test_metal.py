@@ -1,4 +1,4 @@
-"""Metal: footprints of beads, the balance of their wire, and the surface that is built up."""
+"""Metal: footprints of beads, the balance of their wire, the surface that is built up, and its picture."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Holes, slots, gaps, notches and walls narrower than beads can build, or than a setting allows."""
+"""Holes, slots, gaps, notches and walls that beads cannot build, or that lie between two cuts, with place and size."""
 
 from __future__ import annotations
 

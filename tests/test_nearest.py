@@ -1,4 +1,4 @@
-"""The nearest segment is that of trying all of them, from any guess, and distances from it are those of GEOS bit by bit."""
+"""The nearest segment, and distances of paths as shapes: those of trying all, and of GEOS bit by bit."""
 
 from __future__ import annotations
 

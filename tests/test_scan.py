@@ -1,4 +1,4 @@
-"""Plans of whole layers: the laws that hold on any section, and the times of a simulation."""
+"""Plans of layers and stacks: laws over sections of every sort, times of a simulation, and orders against brute force."""
 
 from __future__ import annotations
 

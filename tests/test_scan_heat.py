@@ -1,4 +1,4 @@
-"""Orders by heat and their comparison, driven by the heat model."""
+"""Orders by heat: greedy choice, comparison and installed orders, and islands entered at cool ends."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Improvement of orders by heat: it helps or leaves it, and its table of influences is the heat model itself."""
+"""Improvement of orders by heat: its table of influences is the heat model, and no order of a few islands is much better."""
 
 from __future__ import annotations
 

