@@ -275,7 +275,7 @@ def test_eigenvalues_of_a_rectangle_converge_with_the_mesh():
     exact = rectangle_modes(60, 40, 0.5).eigenvalue[:40]
     errors = []
     for largest in (0.2, 0.8):
-        found = contour_modes(box, largest, 45)
+        found = contour_modes(box, largest, 400)
         errors.append(np.abs(found.eigenvalue[1:40] / exact[1:] - 1).max())
     assert errors[1] < 0.012
     assert errors[0] / errors[1] > 3.0, "second order: half the step, a quarter of the error"
