@@ -170,11 +170,6 @@ def test_giving_moves_up_early_changes_nothing(choices):
 # -- orders planned with fresh heat -------------------------------------------------------------------------
 
 
-def cost_of(islands, order):
-    start, end, travel = times_of(islands, order)
-    return travel, np.maximum(*entry_points(islands.cold_heat(), islands.known_schedule, order, start, end))
-
-
 def test_touching_successors_are_counted_where_there_was_a_choice():
     pairs, count = np.array([[0, 1], [0, 2], [1, 3], [2, 3]]), 4
     beside = touching(pairs, count)
