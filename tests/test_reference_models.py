@@ -28,8 +28,8 @@ from ebamcheck_models import (
     THIN_WALLS,
     TILTED_PLATE,
     TWO_SPHERES,
+    walled_parts,
 )
-from ebamcheck_models import impeller as impeller_shape
 from ebamcheck_models.__main__ import main
 from ebamcheck_models.polyhedra import WIDTHS_MM, Polyhedron
 from ebamcheck_models.two_spheres import lens_area
@@ -179,12 +179,12 @@ def test_the_area_of_a_menger_sponge_is_a_product_over_the_digits_of_its_layer(l
 
 
 def test_the_impeller_has_the_area_that_bessel_functions_give():
-    k = impeller_shape.SHARPNESS
+    k = walled_parts.SHARPNESS
     for z in (8.0, 30.0, 77.0):
-        hub, blade = float(impeller_shape.hub_mm(z)), float(impeller_shape.blade_mm(z))
+        hub, blade = float(walled_parts.hub_mm(z)), float(walled_parts.blade_mm(z))
         means = special.ive(0, k), special.ive(0, 2 * k)
         ring = hub**2 + 2 * hub * blade * means[0] + blade**2 * means[1]
-        wanted = math.pi * (ring - impeller_shape.BORE_RADIUS_MM**2)
+        wanted = math.pi * (ring - walled_parts.BORE_RADIUS_MM**2)
         assert IMPELLER.area(z) == pytest.approx(wanted, rel=1e-10)
 
 

@@ -7,9 +7,10 @@ from ebamcheck_models.cases import CASES
 from ebamcheck_models.cones import CONE, CYLINDER
 from ebamcheck_models.model import COARSEST_TOLERANCE_MM, LEAST_TOLERANCE_MM, Model, TurnableModel, write_stl
 from ebamcheck_models.polyhedra import COMB, MENGER_1, MENGER_2, MENGER_3, PYRAMID, THIN_WALLS, TILTED_PLATE
-from ebamcheck_models.prisms import BRACKET, CUBE, PRISM
+from ebamcheck_models.prisms import BRACKET
 from ebamcheck_models.revolved import SPHERE, TORUS
 from ebamcheck_models.ring_wall import LADDER, LADDER_TOLERANCES_MM
+from ebamcheck_models.simple import CUBE, PRISM
 from ebamcheck_models.two_spheres import TWO_SPHERES
 from ebamcheck_models.walled_parts import BULKHEAD, HELICAL_CHANNEL, IMPELLER, NOZZLE
 

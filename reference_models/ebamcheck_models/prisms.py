@@ -24,9 +24,7 @@ from ebamcheck_models.outlines import (
     Outline,
     Piece,
     circle,
-    polygon,
     rounded_polygon,
-    rounded_rectangle,
 )
 from ebamcheck_models.sampling import outline_samples
 from ebamcheck_models.walls import Face, Wall, WalledModel
@@ -311,27 +309,6 @@ def _spread_along(outline: Outline, x: float, y: float) -> tuple[float, float]:
     """Least and greatest x * X + y * Y of an outline's points (X, Y)."""
     ends = [u for run in _runs(outline, x, y) for u, _ in run.ends]
     return min(ends), max(ends)
-
-
-CUBE = prism(
-    "cube",
-    "cube of 20 mm, a corner at the origin",
-    polygon([(0.0, 0.0), (20.0, 0.0), (20.0, 20.0), (0.0, 20.0)]),
-    20.0,
-)
-
-PRISM = prism(
-    "prism",
-    "rounded plate of 160 x 100 x 40 mm with two round holes, an L-shaped one and a triangular one",
-    rounded_rectangle(80.0, 50.0, 18.0),
-    40.0,
-    (
-        circle(-50.0, 20.0, 15.0),
-        circle(-50.0, -25.0, 8.0),
-        polygon([(-15.0, -30.0), (25.0, -30.0), (25.0, -15.0), (0.0, -15.0), (0.0, 30.0), (-15.0, 30.0)]),
-        polygon([(20.0, 10.0), (60.0, -20.0), (60.0, 30.0)]),
-    ),
-)
 
 
 LEG_MM = 12.0
