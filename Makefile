@@ -15,7 +15,7 @@ BIN := $(VENV)/bin
 # A worker that dies ends the run: started anew, it may wait for ever for the tests of the one before it.
 PYTEST := $(BIN)/python -m pytest -q -n 4 --dist loadfile --max-worker-restart 0 $(PYTEST_OPTIONS)
 
-.PHONY: help setup lock newest oldest demo test test-quick test-slow test-long test-bounds lint types format map docs wheel container benchmark tables benchmark-gpu benchmark-curves mutants clean
+.PHONY: help setup lock newest oldest demo test test-quick test-slow test-long test-bounds lint types format map docs wheel container benchmark tables benchmark-gpu benchmark-curves mutants viewer clean
 
 help: ## Show the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -55,7 +55,7 @@ test: setup lint ## Lint, types, import contracts, doctests and all quick tests
 	@$(MAKE) --no-print-directory -j2 types test-quick
 
 test-quick: setup
-	@$(PYTEST) -m "not slow and not long" --doctest-modules ebamcheck backends reference_models reports/ebamcheck_reports benchmarks tests
+	@$(PYTEST) -m "not slow and not long" --doctest-modules ebamcheck backends reference_models reports/ebamcheck_reports reports/viewer/ebamcheck_viewer benchmarks tests
 
 test-slow: setup ## The tests that take longer
 	@$(BIN)/ebamcheck warm
@@ -120,6 +120,9 @@ benchmark-curves: setup ## How much of a part its curves give back; tables in re
 mutants: setup ## Plant wrong changes of the code, two a room, and count the tests that find them (a quarter of an hour)
 	@$(BIN)/ebamcheck warm
 	@$(BIN)/python -m benchmarks.mutants -o reports/benchmarks/mutants.md
+
+viewer: ## Bundle the sources of the viewer into the files that the wheel ships (needs node)
+	@cd reports/viewer && npm install --silent --no-audit --no-fund --no-package-lock && npm run --silent types && npm run --silent build
 
 clean: ## Remove what the targets made
 	@rm -rf $(VENV) demo site .mypy_cache .ruff_cache .pytest_cache .hypothesis

@@ -54,6 +54,11 @@ def width_px(text: str, window_px: int, folder: Path) -> tuple[int, int]:
     return int(found[1]), int(found[3])
 
 
+def shown_page(page: Path, folder: Path, view: str = "") -> str:
+    """What stands in a page when its scripts have come to rest, at an address that ends with `view`."""
+    return _run(folder, "--dump-dom", page.resolve().as_uri() + view)
+
+
 def _run(folder: Path, *arguments: str) -> str:
     command = [browser(), *ARGUMENTS, f"--user-data-dir={folder / 'profile'}", *arguments]
     try:

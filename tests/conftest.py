@@ -6,7 +6,7 @@ import gc
 import os
 import signal
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import pytest
@@ -17,10 +17,11 @@ settings.register_profile("repeatable", derandomize=True)
 settings.register_profile("search")
 settings.load_profile("repeatable")
 
+# Files that take longest, in quick or slow tests
 LONGEST_FIRST = (
-    "test_live_memory.py", "test_live_server.py", "test_live_opcua.py", "test_conformance.py", "test_witnesses.py", "test_laws.py",
-    "test_tutorials.py", "test_interrupted_runs.py", "test_bounds.py", "test_benchmarks.py", "test_slabs.py",
-    "test_run_accidents.py", "test_motion_faults.py", "test_faults.py", "test_live_opcua_access.py", "test_kernels.py", "test_models.py",
+    "test_live_server.py", "test_live_opcua.py", "test_conformance.py", "test_witnesses.py", "test_laws.py",
+    "test_documentation.py", "test_interrupted_runs.py", "test_bounds.py", "test_benchmarks.py", "test_slabs.py",
+    "test_motion_faults.py", "test_faults.py", "test_live_opcua_access.py", "test_kernels.py", "test_models.py",
     "test_diagnosis.py", "test_surface_curves.py", "test_machine_state.py", "test_cli.py", "test_enemies.py", "test_isolation.py",
     "test_pipeline.py", "test_regression.py", "test_scan_command.py", "test_interpass.py",
     "test_hatch.py", "test_lattice.py", "test_preheated_layers.py", "test_surface.py",
@@ -28,7 +29,6 @@ LONGEST_FIRST = (
     "test_whole_part.py", "test_enemy_reports.py", "test_curve_evidence.py", "test_program_faults.py",
     "test_reference_models.py", "test_chance_curves.py", "test_text_attacks.py", "test_entry_program.py", "test_signing.py", "test_live.py",
 )  # fmt: skip
-"""Files that take longest, in quick or slow tests."""
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -77,3 +77,20 @@ def corpus() -> Path:
     if not folder:
         pytest.skip("EBAMCHECK_CORPUS names no folder: the mesh corpus is not part of the project")
     return Path(folder)
+
+
+@pytest.fixture(scope="module")
+def place(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder with the STL file and the finished run of the box whose SIZE the test module names."""
+    from live_boxes import run_of_box
+
+    return run_of_box(tmp_path_factory, request.module.SIZE)
+
+
+@pytest.fixture(scope="module")
+def maker(place: Path) -> Iterator[object]:
+    """Maker of the layers of that box."""
+    from live_boxes import maker_of
+
+    with maker_of(place) as made:
+        yield made

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import shutil
 import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -15,7 +16,10 @@ from finished_runs import made_once
 from parts import box
 from slicers_here import slicers_here
 
-from ebamcheck.live.making import LayerMaker
+from ebamcheck.live.before import Before
+from ebamcheck.live.building import Building
+from ebamcheck.live.making import LayerMaker, MadeLayer, Wanted
+from ebamcheck.live.publishing import JOURNAL, LAYERS
 from ebamcheck.live.relaying import finished_run
 from ebamcheck.program import Check
 from ebamcheck.settings.config import Config, load_config
@@ -45,11 +49,29 @@ def maker_of(place: Path) -> Iterator[LayerMaker]:
         yield made
 
 
+def third_layer(maker: LayerMaker, folder: Path, thickness_mm: float = 1.6) -> MadeLayer:
+    """A layer on 3.4 mm of cold metal, as it is made and before it is published."""
+    wanted = Wanted(2, 3.4, thickness_mm, "MAIN_K0003R1")
+    return maker.make(wanted, Before.cold(maker.config), folder / "program")
+
+
 def failed_checks(folder: Path, part: Path) -> list[Check]:
     """Checks that a published layer fails by its text, part and settings alone."""
     checks = verify(folder / "program", part, load_config(folder / "settings.toml"))
     assert len(checks) > 50
     return [check for check in checks if not check.passed]
+
+
+def made_again(maker: LayerMaker, folder: Path, again: Path) -> bool:
+    """Whether the journal of a build alone gives every byte of its layers."""
+    again.mkdir()
+    shutil.copy(folder / JOURNAL, again)
+    Building(maker, again).close()
+    first, second = (
+        {path.relative_to(at): path.read_bytes() for path in (at / LAYERS).rglob("*") if path.is_file()}
+        for at in (folder, again)
+    )
+    return bool(first) and first == second
 
 
 def puts(run, release):
@@ -97,31 +119,3 @@ def play(tell, folder, growth, most_layers=None):
         height_mm = last["base_mm"] + growth.grown_mm(last["layer"] - 1, last["thickness_mm"])
         answers.append(tell(event="height", done=last["layer"], height_mm=height_mm))
     return answers
-
-
-def bad_lines(done, base_mm, top_mm):
-    """Bad input on the way to the reading of a layer: what each is to be refused as, and the line."""
-
-    def line(**values):
-        fields = {"event": '"height"', "done": done, "height_mm": 0.5 * (base_mm + top_mm), **values}
-        told = (f'"{key}": {value}' for key, value in fields.items() if value is not None)
-        return ("{" + ", ".join(told) + "}").encode()
-
-    return [
-        ("unreadable", b"\xff\xfe height"),
-        ("unreadable", b'{"event": "height", "done"'),
-        ("event", b'{"event": "launch"}'),
-        ("missing", line(height_mm=None)),
-        ("missing", line(done=None)),
-        ("not-a-number", line(height_mm="NaN")),
-        ("not-a-number", line(height_mm="Infinity")),
-        ("not-a-number", line(height_mm='"12"')),
-        ("not-a-number", line(height_mm="true")),
-        ("unit", line(unit='"in"')),
-        ("unit", line(height_mm=top_mm / 25.4)),
-        ("absurd", line(height_mm=1e300)),
-        ("decreasing", line(height_mm=-3.0)),
-        ("counter", line(done=-1)),
-        ("counter", line(done=1.5)),
-        ("counter-jump", line(done=done + 5)),
-    ]

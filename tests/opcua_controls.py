@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import functools
 import socket
 from contextlib import asynccontextmanager
 
@@ -19,10 +20,22 @@ pytest.importorskip("asyncua", reason="needs the extra opcua: pip install 'ebamc
 
 from ebamcheck.live.opcua.door import Door
 from ebamcheck.live.opcua.handshake import OFFSETS, file_path
+from ebamcheck.live.opcua.link import installed
 from ebamcheck.testing.played_control.server import PlayedServer, faults_of, played
 
-LONGEST_S = 90.0
-"""Time after which a build that does not end is taken for one that never does."""
+installed()  # and asyncua is quiet
+
+LONGEST_S = 90.0  # Time after which a build that does not end is taken for one that never does
+
+
+def of_its_own_loop(test):
+    """Let pytest run a test that is a coroutine."""
+
+    @functools.wraps(test)
+    def run(*given, **named):
+        asyncio.run(test(*given, **named))
+
+    return run
 
 
 def free_url():
@@ -121,6 +134,14 @@ async def door(maker, folder, opcua):
         await asyncio.wait([task], timeout=LONGEST_S)
         building.close()
         assert task.done()
+
+
+@asynccontextmanager
+async def led(maker, folder, waits=True, **settings):
+    """A control that a build leads, and what the build's door tells."""
+    opcua = on_a_desk(**settings)
+    async with control(maker, opcua, waits) as at, door(maker, folder, opcua) as told:
+        yield at, told
 
 
 async def until(condition, limit_s=20.0):

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import shutil
-import struct
 from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from command_line import WIDE
+from command_line import WIDE, write_stl
 from finished_runs import made_once
 from parts import box, join, moved, sphere
 from slicers_here import slicers_here
@@ -22,14 +21,6 @@ from ebamcheck.settings.config import Config
 from ebamcheck_reports import html, junit, summary
 
 STRETCHED = ((1.0, 0.0, 0.0), (0.0, 1.3, 0.0), (0.0, 0.0, 1.0))
-
-
-def write_stl(part: Part, path: Path) -> Path:
-    corners = part.triangles.astype("<f4")
-    rows = np.zeros(len(corners), np.dtype([("n", "<f4", 3), ("v", "<f4", (3, 3)), ("a", "<u2")]))
-    rows["v"] = corners
-    path.write_bytes(bytes(80) + struct.pack("<I", len(corners)) + rows.tobytes())
-    return path
 
 
 def inside_out(part: Part) -> Part:

@@ -5,13 +5,7 @@ from __future__ import annotations
 import shutil
 
 from ebamcheck.pipeline.reports import reports_again
-from ebamcheck.record.certificate import (
-    CERTIFICATE,
-    certificate,
-    file_hashes,
-    read_certificate,
-    write_sealed,
-)
+from ebamcheck.record.certificate import CERTIFICATE, certificate, file_hashes, read_certificate, write_sealed
 from ebamcheck.record.run_folder import RunFolder
 from ebamcheck.record.signing import make_key, read_private_key, trusted_keys
 from ebamcheck.verification.verify import verify_run
@@ -27,11 +21,7 @@ def resealed(run):
     for name, text in reports_again(RunFolder(run)).items():
         (run / name).write_bytes(text)
     old = read_certificate(run / CERTIFICATE)
-    fields = {
-        **certificate(manifest, old["software"]),
-        "release": old["release"],
-        "files": file_hashes(run),
-    }
+    fields = {**certificate(manifest, old["software"]), "release": old["release"], "files": file_hashes(run)}
     write_sealed(run / CERTIFICATE, fields)
 
 

@@ -49,9 +49,7 @@ def test_bounds_add_up_to_the_limit():
     assert rows["limit_mm"].tolist() == pytest.approx([0.06] * 3)
     assert rows["depth_mm"].tolist() == pytest.approx([0.0, 0.05, 0.2], abs=1e-6)
     assert rows["agrees"].tolist() == [True, True, False]
-    assert compare(a, b, depth_from="nearer")["depth_mm"].tolist() == pytest.approx(
-        [0.0, 0.025, 0.1], abs=2e-5
-    )
+    assert compare(a, b)["depth_mm"].tolist() == pytest.approx([0.0, 0.025, 0.1], abs=2e-5)
     with pytest.raises(SettingsError, match="-1"):
         compare(a, b, bound_a_mm=-1)
 

@@ -5,7 +5,7 @@ import pytest
 import shapely
 from prism_program import CONFIG, Made
 
-from ebamcheck.curves.turned import turned_over
+from ebamcheck.curves.columns import turned_over
 from ebamcheck.program import read_program, verify_program, write_program
 
 RING = shapely.Point(0, 0).buffer(40, 32).difference(shapely.Point(0, 0).buffer(20, 32))

@@ -17,8 +17,9 @@ from geomdl import BSpline as GeomdlBSpline
 from scipy.interpolate import BSpline, make_interp_spline
 
 from benchmarks.curve_parts import heights_of
-from ebamcheck.curves import ARC, LINE, METHODS, SPLINE, Curves, fit, fit_deviation
+from ebamcheck.curves import ARC, LINE, SPLINE, Curves, fit, fit_deviation
 from ebamcheck.curves.bezier import Arcs, arcs_through
+from ebamcheck.curves.fitting import ungated
 from ebamcheck.curves.interpolation import BULGE_LIMIT
 from ebamcheck.errors import GeometryError, InputError, SettingsError
 from ebamcheck.layers.stack import Layers, from_rings
@@ -284,7 +285,7 @@ def test_uneven_points_never_make_the_curve_leave_its_chords_far() -> None:
         paths.append(np.cumsum(chords[:, None] * np.column_stack([np.cos(heading), np.sin(heading)]), axis=0))
     # The interpolation by itself: paths that cross themselves, as these do, are polylines of a whole fit.
     settings = CurveSettings(near_point_mm=0, collinear_mm=0, largest_bulge_mm=1e6)
-    spans = METHODS["paper"](from_rings([0.0], [[]], [paths]), settings, None).bezier_spans()
+    spans = ungated("paper", from_rings([0.0], [[]], [paths]), settings, None).bezier_spans()
     B = spans.points[spans.kind == SPLINE]
     chord = B[:, 3] - B[:, 0]
     length = np.hypot(*chord.T)

@@ -9,8 +9,8 @@ import shapely
 from ebamcheck.comparison import compare_all
 from ebamcheck.comparison.naming import REMEDIES, worst_of
 from ebamcheck.comparison.place_causes import MeshFlaws
-from ebamcheck.comparison.sheets import MOST_RINGS, MOST_SHEETS, Reader, sample
-from ebamcheck.comparison.whole_causes import KINDS
+from ebamcheck.comparison.sources import Reader
+from ebamcheck.comparison.whole_causes import KINDS, MOST_RINGS, MOST_SHEETS, sample
 from ebamcheck.layers.stack import from_polygons, from_rings
 from ebamcheck.mesh.part import from_arrays
 from ebamcheck.plugins.registry import models

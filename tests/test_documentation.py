@@ -5,7 +5,10 @@ from __future__ import annotations
 import ast
 import doctest
 import importlib.util
+import inspect
+import itertools
 import re
+import shlex
 import subprocess
 import sys
 import tomllib
@@ -18,16 +21,21 @@ import numpy as np
 import pytest
 import typer
 from pydantic import BaseModel
-from typer.testing import CliRunner
 
 import ebamcheck
+import ebamcheck.testing
+from ebamcheck.backend import Slicer
 from ebamcheck.commands.main import app
 from ebamcheck.errors import ExitCode
 from ebamcheck.mesh.part_source import PlateEntry
+from ebamcheck.nc.control import Control
 from ebamcheck.plugins import registry
+from ebamcheck.plugins.registry import Model
+from ebamcheck.result import Check
 from ebamcheck.settings.base import explanations
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.materials import MATERIALS
+from ebamcheck_models import BLADE, CUBE, write_stl
 
 ROOT = Path(__file__).parents[1]
 README, ARCHITECTURE = ROOT / "README.md", ROOT / "ARCHITECTURE.md"
@@ -37,58 +45,24 @@ LIMITS = DOCS / "limits.md"
 PAGES = sorted(DOCS.glob("*.md"))
 DOCUMENTS = [README, ARCHITECTURE, ROOT / "CHANGELOG.md", *PAGES]
 SOURCES = ("ebamcheck", "backends", "reference_models", "reports")
+LARGEST_PICTURE_BYTES = 400_000  # Pictures live in the repository for ever
 
-LARGEST_PICTURE_BYTES = 400_000
-"""Pictures live in the repository for ever."""
-
+# Last words of the names of settings that have a unit
 UNITS = (
     "mm", "deg", "s", "h", "kg", "mm_s", "mm_min", "w", "mm_s2", "mm_s3", "kv", "ma", "mb", "mm2", "m3", "j_mm3", "px", "k", "w_mk", "j_kg", "j_kgk",
 )  # fmt: skip
-"""Last words of the names of settings that have a unit."""
 
+# Numbers that have none, or whose pairs have two
 WITHOUT_UNIT = {
-    "direction",  # only its direction counts
-    "bead_spacing",  # over the bead width
-    "layer_over_bead",  # over the height of one bead
-    "least_coverage",  # fraction of an area
-    "mass_tolerance",  # of the metal of a part
-    "outside_share",  # of the metal
-    "inside_tolerance",  # of the height of a layer
-    "edge_tolerance",  # of the height of a layer
-    "gap_width",  # over the bead width
-    "seed",
-    "live_r",  # number of an R parameter
-    "hole",  # value in a file
-    "least_known",  # fraction of an area
-    "most_layers",  # counts
-    "passes",  # counts
-    "most_passes",  # counts
-    "defocus",  # in the machine's own unit
-    "most_points",
-    "most_islands",
-    "stride",  # islands
-    "conductivity_by_temperature",  # pairs of K and W/(m K)
-    "heat_capacity_by_temperature",  # pairs of K and J/(kg K)
-    "melt_mixing",  # factor of the conductivity
-    "evidence_share",  # of the bead width, and of the layer height
-    "travel_share",  # of another order's travel
-    "annealing_steps",
-    "ramp_power",  # share of the power
-    "ramp_steps",
-    "power_schedule",  # heights in mm and shares of the power
-    "melting_efficiency",
-    "dilution",
-    "emissivity",
-    "absorptivity",
-    "decimals",
-    "rays_per_call",
-    "block_points",
-    "slabs",  # counts
-    "processes",
-    "bspline_shift",
-    "curvature_share",  # of the acceleration
-    "dip_share",  # of the feed
-}
+    "seed", "hole", "live_r", "direction", "defocus", "conductivity_by_temperature", "heat_capacity_by_temperature", "power_schedule",
+    # Counts.
+    "most_layers", "passes", "most_passes", "most_points", "most_islands", "stride", "annealing_steps", "ramp_steps", "decimals", "rays_per_call",
+    "block_points", "slabs", "processes", "bspline_shift",
+    # Shares of a length, an area, a power; factors.
+    "bead_spacing", "layer_over_bead", "least_coverage", "mass_tolerance", "outside_share", "inside_tolerance", "edge_tolerance", "gap_width",
+    "least_known", "melt_mixing", "evidence_share", "travel_share", "ramp_power", "melting_efficiency", "dilution", "emissivity", "absorptivity",
+    "curvature_share", "dip_share",
+}  # fmt: skip
 
 GROUP = typer.main.get_group(app)
 CONTEXT = GROUP.make_context("ebamcheck", [], resilient_parsing=True)
@@ -135,37 +109,10 @@ def test_the_map_is_made_from_the_docstrings():
     assert text(MAP) == maker.module_map(), "make map"
 
 
-def test_every_module_is_on_the_map():
-    modules = {
-        path.relative_to(ROOT).as_posix()
-        for source in SOURCES
-        for path in (ROOT / source).rglob("*.py")
-        if path.name != "__init__.py"
-    }
-    mapped, folder = set(), ""
-    for line in text(MAP).splitlines():
-        if heading := re.match(r"## `([\w/]+)/`$", line):
-            folder = heading[1]
-        elif item := re.match(r"- `(\w+\.py)`: \S", line):
-            mapped.add(f"{folder}/{item[1]}")
-    assert mapped == modules
-
-
 def test_the_architecture_names_every_room():
     picture = text(ARCHITECTURE).partition("## The rooms")[2].partition("## One layer")[0]
     rooms = {path.parent.name for path in (ROOT / "ebamcheck").glob("*/__init__.py")}
     assert rooms - set(re.findall(r"\b[a-z_]+\b", picture)) == set()
-
-
-def test_every_package_says_what_lives_there():
-    bare = re.findall(r"^## `([\w/]+)/`\n\n(?!\w|`)", text(MAP), re.MULTILINE)
-    assert bare == [], "give its __init__.py a docstring"
-
-
-@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
-def test_files_that_are_named_exist(document: Path):
-    named = re.findall(rf"`((?:{'|'.join(SOURCES)}|tests)/[\w/.-]+\.\w+)`?", text(document))
-    assert [name for name in named if not (ROOT / name).exists()] == []
 
 
 def test_constants_of_the_tolerance_table_exist():
@@ -194,82 +141,137 @@ def test_every_number_among_the_settings_has_a_unit_in_its_name():
     assert bare == [], "name the unit, or say here why there is none"
 
 
-def test_settings_that_documents_name_exist():
-    known = {f"{where}.{name}" for where, name, _ in settings()}
-    sections = "|".join(Config.model_fields)
-    for document in set(DOCUMENTS) - {DOCS / "python.md"}:  # where `layers` is a variable
-        named = set(re.findall(rf"`((?:{sections})\.(?!py`|csv`|parquet`|json`)\w+)`", text(document)))
-        assert named <= known
-
-
 # -- entry points, commands, exit codes ---------------------------------------------------------------
 
 
-def test_every_entry_point_group_is_documented():
+def test_every_group_command_and_exit_code_is_documented():
     project = tomllib.loads(text(ROOT / "pyproject.toml"))["project"]
-    asked_for = {
-        group
-        for path in (ROOT / "ebamcheck").rglob("*.py")
-        for group in re.findall(
-            r'"(ebamcheck\.(?:backends|models|controls|checks|materials|reports|commands|orders))"',
-            text(path),
-        )
-    }
-    groups = set(project["entry-points"]) | asked_for
+    groups = {*project["entry-points"], registry.CHECKS, MATERIALS}
     assert len(groups) >= 8
     for document in (PLUGIN_PAGE, ARCHITECTURE):
         assert {g for g in groups if f"`{g}`" not in text(document)} == set(), document.name
-
-
-def test_every_command_is_documented():
     assert {name for name in COMMANDS if f"`ebamcheck {name}" not in text(COMMAND_PAGE)} == set()
-
-
-@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
-def test_commands_and_options_of_the_documents_exist(document: Path):
-    for name, arguments, rest in re.findall(
-        r"^(?:\$ )?ebamcheck ([a-z]+)([^\n`]*)(.*)", code(document), re.MULTILINE
-    ):
-        assert name in COMMANDS, f"{document.name} names a command that is not there: ebamcheck {name}"
-        known = {option for parameter in COMMANDS[name].params for option in parameter.opts}
-        used = set(re.findall(r"(?<![\w-])(--[a-z-]+)", arguments + rest)) - {"--help"}
-        assert used <= known, name
-
-
-@pytest.mark.parametrize("name", sorted(COMMANDS))
-def test_every_command_explains_itself(name: str):
-    shown = CliRunner().invoke(app, [name, "--help"])
-    assert shown.exit_code == 0
-    assert "Usage:" in shown.output
-
-
-def test_exit_codes_are_those_of_the_table():
     table = re.findall(r"^\| (\d+) \| \S", text(COMMAND_PAGE), re.MULTILINE)
     assert sorted(int(code) for code in table) == sorted(ExitCode)
 
 
-def test_make_targets_that_are_named_exist():
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
+def test_what_a_document_names_is_there(document: Path):
+    shown = text(document)
+    files = re.findall(rf"`((?:{'|'.join(SOURCES)}|tests)/[\w/.-]+\.\w+)`?", shown)
+    assert [name for name in files if not (ROOT / name).exists()] == []
+    if document.name != "python.md":  # where `layers` is a variable
+        keys = rf"`((?:{'|'.join(Config.model_fields)})\.(?!py`|csv`|parquet`|json`)\w+)`"
+        assert set(re.findall(keys, shown)) <= {f"{where}.{name}" for where, name, _ in settings()}
+    lines = re.findall(r"^(?:\$ )?ebamcheck ([a-z]+)([^\n`]*.*)", code(document), re.MULTILINE)
+    assert {name for name, _ in lines} <= set(COMMANDS)
+    for name, rest in lines:
+        known = {option for parameter in COMMANDS[name].params for option in parameter.opts}
+        assert set(re.findall(r"(?<![\w-])(--[a-z-]+)", rest)) - {"--help"} <= known, name
     targets = set(re.findall(r"^([a-z-]+):", text(ROOT / "Makefile"), re.MULTILINE))
-    for document in DOCUMENTS:
-        assert set(re.findall(r"(?:`|^)make ([a-z-]+)", text(document), re.MULTILINE)) <= targets
+    assert set(re.findall(r"(?:`|^)make ([a-z-]+)", shown, re.MULTILINE)) <= targets
+    for link in re.findall(r"\]\(((?!https://)[^)\s]+)\)", shown):
+        name, _, anchor = link.partition("#")
+        target = document.parent / name if name else document
+        assert target.is_file(), link
+        assert not anchor or anchor in anchors(target), link
 
 
-# -- the README's Python ------------------------------------------------------------------------------
+# -- examples: of the README, of the page on Python, of public names, of the tutorials ----------------
 
 
-def test_the_python_of_the_readme_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    from ebamcheck_models import BLADE, write_stl
-
+@pytest.mark.parametrize(
+    ("page", "block", "least"), [(README, r"```python\n(.*?)```", 6), (DOCS / "python.md", r"```pycon\n(.*?)```", 40)]
+)  # fmt: skip
+def test_the_examples_of_a_page_show_what_it_says(page, block, least, tmp_path, monkeypatch):
     tolerance = re.search(r"ebamcheck_models blade --tolerance (\S+) -o blade\.stl", text(README))
     assert tolerance
     write_stl(BLADE.tessellate(float(tolerance[1])), tmp_path / "blade.stl")
+    ebamcheck.save(CUBE.tessellate(0.1), tmp_path / "bracket.stl")
     monkeypatch.chdir(tmp_path)
-    blocks = re.findall(r"```python\n(.*?)```", text(README), re.DOTALL)
-    lines = doctest.DocTestParser().get_doctest("\n".join(blocks), {}, "README.md", str(README), 0)
-    assert len(lines.examples) > 5
+    monkeypatch.setenv("MPLBACKEND", "Agg")
+    blocks = [
+        found
+        for found in re.findall(block, text(page), re.DOTALL)
+        if importlib.util.find_spec("matplotlib") or "plot" not in found
+    ]
+    lines = doctest.DocTestParser().get_doctest("\n".join(blocks), {}, page.name, str(page), 0)
+    assert len(lines.examples) >= least
     said: list[str] = []
     failed = doctest.DocTestRunner().run(lines, out=said.append).failed
     assert not failed, "".join(said)
+
+
+PUBLIC = {
+    name: found
+    for module in (ebamcheck, ebamcheck.testing)
+    for name in module.__all__
+    if callable(found := getattr(module, name))
+}
+
+PROTOCOLS = (Slicer, Model, Control, Check)  # What strangers write classes and values of
+
+
+@pytest.mark.parametrize("found", [*PUBLIC.values(), *PROTOCOLS], ids=lambda found: found.__name__)
+def test_a_public_name_says_what_it_takes_gives_and_raises_and_shows_it(found: Any):
+    said = inspect.getdoc(found) or ""
+    assert doctest.DocTestParser().get_examples(said), "no example: `make test` runs them"
+    if found in PROTOCOLS:
+        return
+    headings = {
+        line for line, under in itertools.pairwise(said.splitlines()) if under and under == "-" * len(line)
+    }
+    assert headings & {"Parameters", "Attributes"}
+    if inspect.isfunction(found):
+        assert "Returns" in headings
+        assert "Raises" in headings or "raise " not in inspect.getsource(found)
+        described = said.partition("Parameters\n")[2].partition("\n\n")[0]
+        heads = {
+            n.strip(" *") for line in re.findall(r"^\S.*", described, re.MULTILINE) for n in line.split(",")
+        }
+        taken = inspect.signature(found).parameters.values()
+        assert {one.name for one in taken if one.kind is not one.VAR_KEYWORD} <= heads
+
+
+def commands(page: str) -> list[str]:
+    """Lines of the shell blocks: those that stand alone between fences without a language."""
+    every = re.findall(r"^```(\w*)\n(.*?)^```", text(DOCS / page), re.DOTALL | re.MULTILINE)
+    return [line for language, block in every if not language for line in block.splitlines()]
+
+
+def run(line: str, folder: Path) -> None:
+    words = [word for word in shlex.split(line) if word not in ("python", "-m")]
+    ended = subprocess.run(
+        [sys.executable, "-m", *words], cwd=folder, capture_output=True, text=True, check=False
+    )
+    assert ended.returncode == 0, f"{line}\n{ended.stdout}{ended.stderr}"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("page", "file", "left_out", "count", "then"),
+    [
+        ("first-own-part.md", "plate.toml", (), 7, ["ebamcheck preflight --plate plate.toml"]),
+        # Kernels and baselines are what all other tests are about, and an image takes an engine and a network.
+        ("in-ci.md", "cell3.toml", ("ebamcheck warm", "ebamcheck regress", "podman"), 5, []),
+    ],
+)
+def test_the_commands_of_a_tutorial_run_in_their_order(page, file, left_out, count, then, tmp_path):
+    plates = re.findall(r"^```toml\n(.*?)^```", text(DOCS / page), re.DOTALL | re.MULTILINE)
+    settings_of_ci = "[slicing]\nbackends = ['planecut', 'manifold']\n"
+    (tmp_path / file).write_text(plates[0] if file == "plate.toml" else settings_of_ci)
+    write_stl(CUBE.tessellate(0.1), tmp_path / "part.stl")
+    lines = [line for line in commands(page) if not line.startswith(left_out)]
+    assert len(lines) == count
+    for line in [*lines, *then]:
+        run(line, tmp_path)
+
+
+def test_the_profile_of_your_machine_can_work(tmp_path: Path):
+    profile = re.findall(r"^```toml\n(.*?)^```", text(DOCS / "your-machine.md"), re.DOTALL | re.MULTILINE)[0]
+    write_stl(CUBE.tessellate(0.1), tmp_path / "part.stl")
+    (tmp_path / "ebamcheck.toml").write_text(profile)
+    run("ebamcheck preflight part.stl -c ebamcheck.toml --place 300,0", tmp_path)
 
 
 def test_the_version_has_an_entry_in_the_changelog():
@@ -332,18 +334,6 @@ def anchors(path: Path) -> set[str]:
     return {re.sub(r"[^\w\- ]", "", heading).strip().lower().replace(" ", "-") for heading in headings}
 
 
-@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
-def test_links_and_pictures_are_there(document: Path):
-    broken = []
-    for link in re.findall(r"\]\(([^)\s]+)\)", text(document)):
-        if not link.startswith("https://"):
-            name, _, anchor = link.partition("#")
-            target = document.parent / name if name else document
-            if not target.is_file() or (anchor and anchor not in anchors(target)):
-                broken.append(link)
-    assert broken == []
-
-
 def test_every_page_is_linked():
     linked = {
         link for page in (README, DOCS / "index.md") for link in re.findall(r"\]\(([\w./-]+)", text(page))
@@ -376,11 +366,9 @@ def test_the_site_builds_without_a_warning(tmp_path: Path):
     assert {path.stem for path in PAGES} <= {path.stem for path in site.glob("*.html")}
 
 
-def spoken() -> list[Path]:
-    return [*DOCUMENTS, *(ROOT / "reports" / "pictures").glob("*.svg")]
-
-
-@pytest.mark.parametrize("path", spoken(), ids=lambda path: path.name)
+@pytest.mark.parametrize(
+    "path", [*DOCUMENTS, *(ROOT / "reports" / "pictures").glob("*.svg")], ids=lambda path: path.name
+)
 def test_documents_name_no_place_on_a_machine_and_no_package_registry(path: Path):
     places = re.findall(r"(?<![\w.:/)])/(?:work|tmp|home|root|opt|usr|var|mnt|Users)/\S*", text(path))
     hosts = re.findall(r"pypi|pythonhosted|/simple/|index-url", text(path), re.IGNORECASE)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import time
 
 import pytest
@@ -15,6 +16,7 @@ from ebamcheck.pipeline.reports import write_reports
 from ebamcheck.plugins import registry
 from ebamcheck.plugins.processes import run_limited
 
+# Bodies of report writers
 WRITERS = {
     "exits": "import sys; sys.exit(0)",
     "leaves": "import os; os._exit(0)",
@@ -25,7 +27,6 @@ WRITERS = {
     "good": "(run.path / 'mine').mkdir(); (run.path / 'mine' / 'good.txt').write_text(run.manifest()['job']); "
     "import sys; (run.path / 'mine' / 'loaded.txt').write_text(' '.join(sys.modules))",
 }
-"""Bodies of report writers."""
 
 
 @pytest.fixture(scope="module")
@@ -85,18 +86,6 @@ def test_a_run_among_enemies_is_whole_and_honest(writers, tmp_path):
     assert "every one rests on planecut and manifold" in gate["text"]
 
 
-@pytest.mark.slow
-def test_two_methods_of_which_one_proves_nothing_are_not_enough(writers, tmp_path):
-    write_stl(frame(), tmp_path / "frame.stl")
-    (tmp_path / "ebamcheck.toml").write_text(WIDE_TOML)
-    done = ebamcheck(
-        "check", "frame.stl", "--layer-height", 6, "--backends", "planecut,loose",
-        cwd=tmp_path, **environment(writers, TESTS),
-    )  # fmt: skip
-    assert done.returncode == 5, done.stdout + done.stderr
-    assert "2 methods left, no two of which are independent evidence: loose is no evidence" in done.stdout
-
-
 def test_house_writers_write_where_strangers_may_not(tmp_path):
     """Nothing but the run's own folder is written to; a folder that is no run is left with a note for each writer."""
     notes = []
@@ -116,8 +105,6 @@ def test_house_writers_write_where_strangers_may_not(tmp_path):
     ],
 )
 def test_limits_of_a_process(tmp_path, monkeypatch, code, why):
-    import re
-
     (tmp_path / "limited.py").write_text(code)
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     (tmp_path / "work").mkdir()

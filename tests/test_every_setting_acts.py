@@ -30,14 +30,12 @@ from ebamcheck.settings.process_window import checked_window
 PART = shapely.box(0, 0, 70, 50).difference(shapely.Point(30, 25).buffer(8, 24))
 LAYERS = 2
 SECTIONS = ("process", "scan", "material", "machine")
-
 QUICK = {"scan": {"annealing_steps": 200, "hexagon_side_mm": 12.0}}
-
 RAMPS = {"process": {"ramp_up_mm": 3.0, "crater_fill_mm": 3.0}}
-
+# A clamp that a wide head meets, if it hangs low
 POST_BESIDE = {"outline_mm": ((95.0, 0.0), (100.0, 0.0), (100.0, 50.0)), "z_mm": (0.0, 60.0)}
-"""A clamp that a wide head meets, if it hangs low."""
 
+# Other values of settings; those that are not here are told by :func:`other`
 CHANGED: dict[str, Any] = {
     "process.least_entry_temperature_k": 860.0,
     "process.current_max_ma": 100.0,
@@ -122,8 +120,8 @@ CHANGED: dict[str, Any] = {
     "machine.layer_end": ("; layer {layer} ends",),
     "machine.rotary": ({"name": "A"},),
 }
-"""Other values of settings; those that are not here are told by :func:`other`."""
 
+# Settings with which others act at all
 GIVEN: dict[str, dict[str, Any]] = {
     **dict.fromkeys(("process.ramp_power", "process.ramp_steps", "process.ramp_up_window_s", "process.crater_fill_window_s"), RAMPS),
     "process.longest_wait_s": {"process": {"layer_pause_s": 10.0}},
@@ -141,8 +139,8 @@ GIVEN: dict[str, dict[str, Any]] = {
     "machine.layer_pause": {"process": {"layer_pause_s": 10.0}},
     "machine.wire_retract": {"process": {"wire_retract_mm": 2.0}},
 }  # fmt: skip
-"""Settings with which others act at all."""
 
+# Settings that act on other runs than this one, and on which
 ELSEWHERE = {
     "process.pyrometer_limit_k": "a measured temperature comes while a build goes on (tests/test_pyrometer.py)",
     "material.melt_mixing": "heat above the liquidus (tests/test_heat_referee.py)",
@@ -158,7 +156,6 @@ ELSEWHERE = {
     "scan.travel_share": "the same",
     "scan.annealing_steps": "the same",
 }
-"""Settings that act on other runs than this one, and on which."""
 
 
 def fields():
@@ -208,8 +205,7 @@ def outcome(config: Config, folder, part=PART):
         yield str(error)
 
 
-BASE: dict[str, list[Any]] = {}
-"""What runs come to without the change, by what is given."""
+BASE: dict[str, list[Any]] = {}  # What runs come to without the change, by what is given
 
 
 def changed(config: Config, sections) -> Config:
@@ -245,6 +241,7 @@ def test_the_tables_name_settings_that_there_are():
     assert {*CHANGED, *GIVEN, *ELSEWHERE} <= set(fields())
 
 
+@pytest.mark.slow
 def test_without_a_change_a_run_comes_to_the_same(tmp_path):
     """So that a setting which nothing reads is seen."""
     config = Config().changed(**QUICK)

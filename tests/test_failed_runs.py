@@ -1,6 +1,7 @@
 """What a failing run says first, and what a failed check names: both checks, the place in part and program, the remedy."""
 
 import logging
+from contextlib import contextmanager
 from types import SimpleNamespace
 
 import numpy as np
@@ -49,9 +50,8 @@ def test_both_failed_checks_are_named_with_layer_heights_and_remedy():
 
 
 def test_layers_of_places():
-    assert [layer_of(NC, Place.of_line(w)) for w in ("MAIN_L0001.SPF:1", "MAIN_L0002.SPF:99", "MAIN.MPF:9", "X:1", "")] == [
-        0, 1, None, None, None,
-    ]  # fmt: skip
+    places = ("MAIN_L0001.SPF:1", "MAIN_L0002.SPF:99", "MAIN.MPF:9", "X:1", "")
+    assert [layer_of(NC, Place.of_line(where)) for where in places] == [0, 1, None, None, None]
 
 
 def test_every_check_of_the_metal_has_a_remedy_and_a_passed_one_tells_none():
@@ -99,7 +99,7 @@ class Odd:
     """A slicer of small parts by the kit's own sections, solid where an odd number of shells is."""
 
     name, summary, exact, priority = "odd", "odd", True, 0
-    coplanar_rule, inside_rule = "half-open", "odd"
+    coplanar_rule, inside_rule, rule, breaks_over_mm = "half-open", "odd", "odd", np.inf
 
     class Settings:
         def model_dump(self):
@@ -111,40 +111,24 @@ class Odd:
     def height_bound_mm(self, part, settings):
         return 0.0
 
+    @contextmanager
     def prepare(self, part, settings):
-        return Cut(part, self.inside_rule)
+        def cut(heights, progress=None):
+            if (np.asarray(heights) > self.breaks_over_mm).any():
+                raise KeyError((26, 27))
+            return sections(part, heights, winding_rule(self.rule))
 
-
-class Cut:
-    def __init__(self, part, rule):
-        self.part, self.rule = part, rule
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        return None
-
-    def slice(self, heights, progress=None):
-        return sections(self.part, heights, winding_rule(self.rule))
+        yield SimpleNamespace(slice=cut)
 
 
 class House(Odd):
     """Says that it is odd, and is not."""
 
-    def prepare(self, part, settings):
-        return Cut(part, "winding > 0")
+    rule = "winding > 0"
 
 
 class Fragile(Odd):
-    def prepare(self, part, settings):
-        class Breaks(Cut):
-            def slice(self, heights, progress=None):
-                if (np.asarray(heights) > 1.0).any():
-                    raise KeyError((26, 27))
-                return super().slice(heights)
-
-        return Breaks(part, "odd")
+    breaks_over_mm = 1.0
 
 
 def test_a_slicer_is_held_to_the_rule_that_it_declares_on_models_too():
@@ -163,13 +147,12 @@ def test_what_a_slicer_raises_tells_model_settings_height_and_place(caplog):
     assert figure.model == "box"
     assert "KeyError: (26, 27) at z = " in figure.text
     assert "step_mm=0.5" in figure.text
-    assert "raised in slice (test_failed_runs.py:" in figure.text
+    assert "raised in cut (test_failed_runs.py:" in figure.text
     (record,) = [r for r in caplog.records if r.exc_info]
     assert isinstance(record.exc_info[1], KeyError)
 
 
-@pytest.mark.parametrize("name", ["first", "later"])
-def test_the_height_is_that_at_which_it_breaks(name):
-    heights = [0.5, 1.5] if name == "later" else [1.25, 1.5]
-    with pytest.raises(Raised, match=rf"at z = {1.5 if name == 'later' else 1.25} mm"):
+@pytest.mark.parametrize(("heights", "at"), [([1.25, 1.5], 1.25), ([0.5, 1.5], 1.5)])
+def test_the_height_is_that_at_which_it_breaks(heights, at):
+    with pytest.raises(Raised, match=rf"at z = {at} mm"):
         Subject(Fragile).cut(simple("box"), heights)

@@ -19,7 +19,6 @@ from ebamcheck.pipeline.entry_program import check_waits
 from ebamcheck.settings.config import Config
 
 CONFIG = Config().changed(machine={"live_timeout_s": 60.0})
-
 KEYS = ReleaseKeys(1_000_003)
 
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-import shutil
 
 import numpy as np
 import pytest
 from command_line import ebamcheck
-from live_boxes import failed_checks, maker_of, run_of_box
-from measured_surfaces import SIZE, level_metal, map_of, surface_of, write_csv
+from live_boxes import failed_checks, made_again
+from measured_surfaces import SIZE as SIZE
+from measured_surfaces import level_metal, map_of, surface_of, write_csv
 from slicers_here import runs_cut_here as runs_cut_here
 
 from ebamcheck.checks.metal import deposit
@@ -18,18 +18,6 @@ from ebamcheck.live.height_map import figures_of, in_cells
 from ebamcheck.live.making import Wanted
 from ebamcheck.live.publishing import LAYERS, read_current, read_journal
 from ebamcheck.program import read_program
-
-
-@pytest.fixture(scope="module")
-def place(tmp_path_factory):
-    """Folder with a run of a box of four layers."""
-    return run_of_box(tmp_path_factory, SIZE)
-
-
-@pytest.fixture(scope="module")
-def maker(place):
-    with maker_of(place) as made:
-        yield made
 
 
 @pytest.fixture(scope="module")
@@ -182,12 +170,6 @@ def test_maps_come_through_the_door_and_the_journal_makes_them_again(maker, tmp_
     # The journal alone is enough: the files of the maps are gone.
     for name in ("m.csv", "o.csv", "u.csv"):
         (tmp_path / name).unlink()
-    (tmp_path / "again").mkdir()
-    shutil.copy(tmp_path / "b" / "journal.jsonl", tmp_path / "again")
-    Building(maker, tmp_path / "again").close()
-    for path in (tmp_path / "b" / LAYERS).rglob("*"):
-        if path.is_file():
-            made = tmp_path / "again" / LAYERS / path.relative_to(tmp_path / "b" / LAYERS)
-            assert made.read_bytes() == path.read_bytes()
+    assert made_again(maker, tmp_path / "b", tmp_path / "again")
     entries = list(read_journal(tmp_path / "b" / "journal.jsonl"))
     assert sum("map" in entry for entry in entries) == 1

@@ -11,7 +11,6 @@ import shapely
 from hypothesis import given
 from hypothesis import settings as trials
 from hypothesis import strategies as st
-from live_boxes import maker_of, run_of_box
 from measured_surfaces import SIZE, grid_of, level_metal, map_of, surface_of, write_csv
 from PIL import Image
 
@@ -24,40 +23,45 @@ FRAME = Config().height_map
 
 
 @pytest.fixture(scope="module")
-def metal(tmp_path_factory):
-    with maker_of(run_of_box(tmp_path_factory, SIZE)) as maker:
-        return level_metal(maker)
+def metal(maker):
+    return level_metal(maker)
 
 
 def cells_of(path, metal, frame=FRAME):
     return in_cells(read_map(path, frame), metal.surface)
 
 
+def judged(found, metal, **frame):
+    """Figures of a map on the metal."""
+    return figures_of(in_cells(found, metal.surface), metal.surface, Config().changed(height_map=frame))
+
+
 def test_one_surface_is_the_same_from_every_kind_of_file(metal, tmp_path):
     z = surface_of(3.4, 0.5, slope=(0.01, -0.004))
-    x, y, height = grid_of(z)
+    x, _, height = grid_of(z)
     wanted = cells_of(write_csv(tmp_path / "m.csv", z), metal)
-    up = 'origin_mm = [-3.0, -3.0]\nstep_mm = [0.5, 0.5]\nrows = "up"\n'
-    np.save(tmp_path / "m.npy", height)
-    (tmp_path / "m.npy.frame.toml").write_text(up)
-    np.savetxt(tmp_path / "grid.csv", height, delimiter=",", fmt="%.6f")
-    (tmp_path / "grid.csv.frame.toml").write_text(up)
-    Image.fromarray(height[::-1].astype(np.float32)).save(tmp_path / "m.tif")
-    (tmp_path / "m.tif.frame.toml").write_text(up.replace('"up"', '"down"'))
-    # A quarter turn to the left: what was along X is along Y.
-    np.save(tmp_path / "turned.npy", height.T[::-1])
-    (tmp_path / "turned.npy.frame.toml").write_text(
-        f'origin_mm = [{x.max()}, -3.0]\nstep_mm = [0.5, 0.5]\nturn_deg = 90.0\nrows = "up"\n'
-    )
-    Image.fromarray(np.round(height[::-1] * 1000.0 + 500.0).astype(np.uint16)).save(tmp_path / "um.tif")
-    (tmp_path / "um.tif.frame.toml").write_text(
-        "origin_mm = [-3.0, -3.0]\nstep_mm = [0.5, 0.5]\nunit_mm = 0.001\nzero_mm = -0.5\n"
-    )
-    for name in ("m.npy", "grid.csv", "m.tif", "um.tif", "turned.npy"):
-        found = cells_of(tmp_path / name, metal)
+    step = "step_mm = [0.5, 0.5]\n"
+    at = f"origin_mm = [-3.0, -3.0]\n{step}"
+    micrometres = np.round(height[::-1] * 1000.0 + 500.0).astype(np.uint16)
+    for name, grid, frame in (
+        ("m.npy", height, f'{at}rows = "up"'),
+        ("grid.csv", height, f'{at}rows = "up"'),
+        ("m.tif", height[::-1].astype(np.float32), f'{at}rows = "down"'),
+        ("um.tif", micrometres, f"{at}unit_mm = 0.001\nzero_mm = -0.5"),
+        # A quarter turn to the left: what was along X is along Y.
+        ("t.npy", height.T[::-1], f'origin_mm = [{x.max()}, -3.0]\n{step}turn_deg = 90.0\nrows = "up"'),
+    ):
+        path = tmp_path / name
+        if path.suffix == ".npy":
+            np.save(path, grid)
+        elif path.suffix == ".csv":
+            np.savetxt(path, grid, delimiter=",", fmt="%.6f")
+        else:
+            Image.fromarray(grid).save(path)
+        (tmp_path / f"{name}.frame.toml").write_text(frame)
+        found = cells_of(path, metal)
         assert ((found.kept == HOLE) == (wanted.kept == HOLE)).all(), name
         assert np.abs(found.kept - wanted.kept).max() <= 1, name  # half a micrometre, and its rounding
-        assert y.size
 
 
 def test_coarse_maps_come_to_nearly_the_same_between_their_places(metal):
@@ -72,19 +76,16 @@ def test_holes_are_left_out(metal, tmp_path):
     z = surface_of(3.4)
     path = write_csv(tmp_path / "m.csv", z, lambda x, y: 10 < x < 20 and 10 < y < 20)
     found = cells_of(path, metal)
-    x, y = 15 / metal.surface.step_mm, 15 / metal.surface.step_mm
-    at = int(y) - metal.surface.corner[1], int(x) - metal.surface.corner[0]
-    assert found.kept[at] == HOLE
-    figures = figures_of(found, metal.surface, Config())
+    row, column = (int(15 / metal.surface.step_mm) - first for first in metal.surface.corner[::-1])
+    assert found.kept[row, column] == HOLE
+    figures = judged(read_map(path, FRAME), metal)
     assert figures.mean_mm == pytest.approx(3.4, abs=1e-3)
     assert 0.75 < figures.known < 0.95
-    marked = FRAME.model_copy(
-        update={"hole": -99.0, "origin_mm": (-3.0, -3.0), "step_mm": (0.5, 0.5), "rows": "up"}
-    )
+    marked = {"hole": -99.0, "origin_mm": (-3.0, -3.0), "step_mm": (0.5, 0.5), "rows": "up"}
     grid = grid_of(z)[2]
     grid[26:46, 26:46] = -99.0
     np.save(tmp_path / "m.npy", grid)
-    assert figures_of(cells_of(tmp_path / "m.npy", metal, marked), metal.surface, Config()).known < 0.95
+    assert judged(read_map(tmp_path / "m.npy", FRAME.model_copy(update=marked)), metal).known < 0.95
 
 
 BAD = {
@@ -113,27 +114,26 @@ def test_bad_files_are_told_in_one_line(name, tmp_path):
 
 
 def test_bad_arrays_and_frames_are_told(tmp_path):
-    for array in (
-        np.zeros(4),
-        np.zeros((2, 2, 2)),
-        np.array([["a"]]),
-        np.zeros((2, 2), complex),
-        np.zeros((0, 3)),
-    ):
-        np.save(tmp_path / "m.npy", array)
+    path = tmp_path / "m.npy"
+    wrong = (np.zeros(4), np.zeros((2, 2, 2)), np.array([["a"]]), np.zeros((2, 2), complex), np.zeros((0, 3)))
+    for array in wrong:
+        np.save(path, array)
         with pytest.raises(InputError, match="no grid of numbers"):
-            read_map(tmp_path / "m.npy", FRAME)
-    np.save(tmp_path / "m.npy", np.array([{}], object), allow_pickle=True)
+            read_map(path, FRAME)
+    np.save(path, np.array([{}], object), allow_pickle=True)
     with pytest.raises(InputError, match="is no NPY file"):
-        read_map(tmp_path / "m.npy", FRAME)
-    np.save(tmp_path / "m.npy", np.ones((3, 3)))
+        read_map(path, FRAME)
+    np.save(path, np.ones((3, 3)))
     Image.new("RGB", (3, 3)).save(tmp_path / "m.tif")
     with pytest.raises(InputError, match="one channel"):
         read_map(tmp_path / "m.tif", FRAME)
     for text, said in (("step_mm = [0, 1]", "step_mm"), ("origin = [1, 2]", "origin"), ("=", "is not TOML")):
         (tmp_path / "m.npy.frame.toml").write_text(text)
         with pytest.raises(InputError, match=said):
-            read_map(tmp_path / "m.npy", FRAME)
+            read_map(path, FRAME)
+    for values in ({"step_mm": (0.0, 1.0)}, {"rows": "left"}, {"least_known": 0.0}, {"unit_mm": -1.0}):
+        with pytest.raises(SettingsError, match=r"height_map\."):
+            Config().changed(height_map=values)
 
 
 # -- figures -----------------------------------------------------------------------------------------
@@ -142,9 +142,7 @@ def test_bad_arrays_and_frames_are_told(tmp_path):
 @trials(deadline=None, max_examples=25)
 @given(st.floats(-0.012, 0.012), st.floats(-0.012, 0.012), st.floats(1.0, 50.0))
 def test_a_plane_has_its_slope_and_its_mean(metal, a, b, base):
-    figures = figures_of(
-        in_cells(map_of(surface_of(base, slope=(a, b))), metal.surface), metal.surface, Config()
-    )
+    figures = judged(map_of(surface_of(base, slope=(a, b))), metal)
     assert figures.mean_mm == pytest.approx(base, abs=0.02)
     assert figures.slope_deg == pytest.approx(math.degrees(math.atan(math.hypot(a, b))), abs=0.02)
     if math.hypot(a, b) > 0.003:
@@ -154,60 +152,41 @@ def test_a_plane_has_its_slope_and_its_mean(metal, a, b, base):
 
 def test_a_hump_is_found_where_it_is_and_a_dip_too(metal):
     for hump in (0.6, -0.6):
-        figures = figures_of(
-            in_cells(map_of(surface_of(3.4, hump, (26.0, 12.0))), metal.surface), metal.surface, Config()
-        )
+        figures = judged(map_of(surface_of(3.4, hump, (26.0, 12.0))), metal)
         size, at = (figures.hump_mm, figures.hump_at_mm) if hump > 0 else (figures.dip_mm, figures.dip_at_mm)
         assert at == pytest.approx((26.0, 12.0), abs=1.5)
         assert 0.3 < size < 0.6
 
 
 def test_what_is_too_uneven_or_not_known_is_refused_with_its_place(metal):
-    def refused(found, **frame):
-        with pytest.raises(Refused) as told:
-            figures_of(in_cells(found, metal.surface), metal.surface, Config().changed(height_map=frame))
-        return told.value.code, str(told.value)
-
-    code, text = refused(map_of(surface_of(3.4, 2.0, (12.0, 18.0))))
-    assert code == "map-uneven"
-    assert "over its mean" in text
-    assert (
-        "at (11.5, 17.5)" in text
-        or "at (12.5, 18.5)" in text
-        or "at (12.5, 17.5)" in text
-        or "at (11.5, 18.5)" in text
-    )
-    assert refused(map_of(surface_of(3.4, -2.0)))[0] == "map-uneven"
-    assert refused(map_of(surface_of(3.4, 0.3)), uneven_mm=0.1)[0] == "map-uneven"
     part = map_of(surface_of(3.4))
     kept = part.x_mm < 18.0
-    code, text = refused(HeightMap(part.x_mm[kept], part.y_mm[kept], part.height_mm[kept], 0.5))
-    assert code == "map-holes"
-    assert "the middle of the largest hole is at (" in text
+    half = HeightMap(part.x_mm[kept], part.y_mm[kept], part.height_mm[kept], 0.5)
+    for found, frame, code, said in (
+        (
+            map_of(surface_of(3.4, 2.0, (12.0, 18.0))),
+            {},
+            "map-uneven",
+            r"over its mean .* at \(1[12]\.5, 1[78]\.5\)",
+        ),
+        (map_of(surface_of(3.4, -2.0)), {}, "map-uneven", "under its mean"),
+        (map_of(surface_of(3.4, 0.3)), {"uneven_mm": 0.1}, "map-uneven", "0.10 mm can be mended"),
+        (half, {}, "map-holes", r"the middle of the largest hole is at \("),
+    ):
+        with pytest.raises(Refused, match=said) as told:
+            judged(found, metal, **frame)
+        assert told.value.code == code
 
 
-def test_spatter_is_a_hole(metal):
-    spiked = map_of(surface_of(3.4))
-    height = spiked.height_mm.copy()
-    at = np.hypot(spiked.x_mm - 20.0, spiked.y_mm - 20.0) < 1.5
-    height[at] += 30.0
-    figures = figures_of(
-        in_cells(HeightMap(spiked.x_mm, spiked.y_mm, height, 0.5), metal.surface), metal.surface, Config()
-    )
-    assert figures.mean_mm == pytest.approx(3.4, abs=1e-3)
-    assert figures.hump_mm < 1e-3
-    assert figures.known < 1.0
-
-
-def test_flanks_along_the_border_are_no_unevenness(metal):
+def test_spatter_is_a_hole_and_flanks_along_the_border_are_no_unevenness(metal):
     x, y, z = grid_of(surface_of(3.4))
-    edge = np.minimum.reduce([x, 42.0 - x, y, 36.0 - y])
-    z = np.where(edge < 2.0, 1.5, z)
-    figures = figures_of(
-        in_cells(HeightMap(x.ravel(), y.ravel(), z.ravel(), 0.5), metal.surface), metal.surface, Config()
-    )
-    assert figures.mean_mm == pytest.approx(3.4, abs=1e-3)
-    assert max(figures.hump_mm, figures.dip_mm) < 0.05
+    spatter = np.where(np.hypot(x - 20.0, y - 20.0) < 1.5, z + 30.0, z)
+    flanks = np.where(np.minimum.reduce([x, 42.0 - x, y, 36.0 - y]) < 2.0, 1.5, z)
+    for height, off_mm in ((spatter, 1e-3), (flanks, 0.05)):
+        figures = judged(HeightMap(x.ravel(), y.ravel(), height.ravel(), 0.5), metal)
+        assert figures.mean_mm == pytest.approx(3.4, abs=1e-3)
+        assert max(figures.hump_mm, figures.dip_mm) < off_mm
+        assert (figures.known < 1.0) == (height is spatter)
 
 
 @trials(deadline=None, max_examples=30)
@@ -229,12 +208,6 @@ def test_the_journal_gives_a_map_back_as_it_was(rows, columns, seed, corner):
     ):
         with pytest.raises(InputError):
             MapCells.of_entry(entry | change)
-
-
-def test_settings_of_maps_are_judged():
-    for values in ({"step_mm": (0.0, 1.0)}, {"rows": "left"}, {"least_known": 0.0}, {"unit_mm": -1.0}):
-        with pytest.raises(SettingsError, match=r"height_map\."):
-            Config().changed(height_map=values)
 
 
 def test_a_surface_keeps_what_was_measured_until_the_next_layer_lies_on_it(metal):

@@ -1,7 +1,8 @@
-"""Runs that are killed, whenever that may be: the next goes on to the same bytes, and clears away what they left."""
+"""Runs that are killed or meet with an accident: the next goes on to the same bytes, and clears away what they left."""
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import json
 import os
@@ -10,28 +11,32 @@ import signal
 import subprocess
 import sys
 import time
+from unittest.mock import Mock
 
 import numpy as np
+import psutil
 import pytest
 import typer
-from command_line import FAST, WIDE_TOML, command, ebamcheck, frame, started, write_stl
-from parts import box, sphere
+from command_line import FAST, WIDE_TOML, command, ebamcheck, frame, write_stl
+from finished_runs import plate_of_every_slicer
+from parts import sphere
+from pipeline_runs import SETTINGS, contents, gates, untimed
 
 from ebamcheck import scratch
 from ebamcheck.atomic_file import replacing
 from ebamcheck.commands.command_group import guarded
-from ebamcheck.errors import ExitCode
+from ebamcheck.errors import ExitCode, SettingsError
 from ebamcheck.layers.files import KeptBlocks, count_kept, read_parquet
 from ebamcheck.layers.heights import layer_blocks
-from ebamcheck.mesh.files import load
+from ebamcheck.mesh.part import from_arrays
+from ebamcheck.pipeline import check_job, cross_check, run_job
 from ebamcheck.plugins import registry
+from ebamcheck.record.run_folder import RunFolder
 from ebamcheck.slicers.isolation import slice_all
 from ebamcheck.slicers.slicing import slice_part
 
-SETTINGS = f"slicing.backends = {FAST.split(',')}\nslicing.block_points = 1000\n"
-
-DATED = ("finished", "seal")
-"""Fields of a certificate that tell when the run was made, or hold what does."""
+OF_BLOCKS = f"slicing.backends = {FAST.split(',')}\nslicing.block_points = 1000\n"
+DATED = ("finished", "seal")  # Fields of a certificate that tell when the run was made, or hold what does
 
 
 def whole(folder):
@@ -97,18 +102,15 @@ def killed_and_resumed(job, folder, kills, seed):
     assert [path.name for path in folder.glob(".*")] == []
 
 
-@pytest.mark.slow
-def test_checks_killed_at_random_moments_come_to_the_same_bytes(tmp_path):
-    write_stl(sphere(12.0, 24, 48), tmp_path / "part.stl")
-    (tmp_path / "ebamcheck.toml").write_text(SETTINGS)
-    killed_and_resumed("check", tmp_path, kills=3, seed=1)
-
-
-@pytest.mark.long
-def test_runs_killed_at_random_moments_come_to_the_same_bytes(tmp_path):
-    write_stl(frame(), tmp_path / "part.stl")
-    (tmp_path / "ebamcheck.toml").write_text(f"{SETTINGS}layers.layer_height_mm = 6.0\n{WIDE_TOML}")
-    killed_and_resumed("run", tmp_path, kills=9, seed=0)
+@pytest.mark.parametrize(
+    ("job", "kills", "seed"),
+    [pytest.param("check", 3, 1, marks=pytest.mark.slow), pytest.param("run", 9, 0, marks=pytest.mark.long)],
+)
+def test_jobs_killed_at_random_moments_come_to_the_same_bytes(job, kills, seed, tmp_path):
+    write_stl(frame() if job == "run" else sphere(12.0, 24, 48), tmp_path / "part.stl")
+    thick = f"layers.layer_height_mm = 6.0\n{WIDE_TOML}" if job == "run" else ""
+    (tmp_path / "ebamcheck.toml").write_text(OF_BLOCKS + thick)
+    killed_and_resumed(job, tmp_path, kills, seed)
 
 
 # -- blocks of layers ----------------------------------------------------------------------------------
@@ -129,20 +131,30 @@ def cut(ball, folder, keep=True):
     return slice_all(part, heights, settings, folder, borders=borders, keep_blocks=keep)["planecut"]
 
 
-def test_blocks_that_are_kept_are_not_cut_again(ball, tmp_path):
+@pytest.mark.parametrize("spoil", ["", "truncated", "other part", "other heights"])
+def test_a_block_that_is_kept_is_not_cut_again_and_one_that_does_not_fit_is(ball, tmp_path, spoil):
     part, heights, borders = ball
+    file = tmp_path / "planecut.parquet"
     sound = cut(ball, tmp_path).made().read_bytes()
     assert [path.name for path in tmp_path.iterdir()] == ["planecut.parquet"]
-    file = tmp_path / "planecut.parquet"
+    block = read_parquet(file).block(0, int(borders[1]))
     kept = KeptBlocks(file, part.sha256, "planecut")
-    block = read_parquet(file).block(int(borders[1]), int(borders[2]))
-    kept.write(block)
-    assert (cut(ball, tmp_path).made().read_bytes(), count_kept(file)) == (sound, 0)
     # A block that says of itself that it was not cut now.
     told = block.labelled(dropped=np.full(len(block), 7))
+    if spoil == "other heights":
+        told = told.labelled(heights=np.concatenate([heights[:1], told.heights[1:] + 1e-9]))
+    if spoil == "other part":
+        told = told.labelled(part="0" * 64)
     kept.write(told)
-    found = read_parquet(cut(ball, tmp_path).made())
-    assert found.dropped.tolist() == [7 if borders[1] <= k < borders[2] else 0 for k in range(heights.size)]
+    (path,) = kept.folder.iterdir()
+    if spoil == "truncated":
+        path.write_bytes(path.read_bytes()[:-100])
+    found = cut(ball, tmp_path).made()
+    assert count_kept(file) == 0
+    if spoil:
+        assert found.read_bytes() == sound
+    else:
+        assert read_parquet(found).dropped.tolist() == [7 * (k < borders[1]) for k in range(heights.size)]
 
 
 def test_what_is_cut_as_fast_as_it_is_written_is_not_kept(ball, tmp_path):
@@ -153,52 +165,6 @@ def test_what_is_cut_as_fast_as_it_is_written_is_not_kept(ball, tmp_path):
         kept.write(slice_part(part, heights[first:past], "planecut"))
     assert not kept.is_worth(0.0)
     assert kept.is_worth(60.0)
-
-
-@pytest.mark.in_turn(3)
-@pytest.mark.parametrize("spoil", ["truncated", "other part", "other heights"])
-def test_a_block_that_does_not_fit_is_cut_anew(ball, tmp_path, spoil):
-    part, heights, borders = ball
-    file = tmp_path / "planecut.parquet"
-    sound = cut(ball, tmp_path).made().read_bytes()
-    block = read_parquet(file).block(0, int(borders[1]))
-    kept = KeptBlocks(file, part.sha256, "planecut")
-    told = block.labelled(dropped=np.full(len(block), 7))
-    if spoil == "other heights":
-        told = told.labelled(heights=np.concatenate([heights[:1], told.heights[1:] + 1e-9]))
-    if spoil == "other part":
-        told = told.labelled(part="0" * 64)
-    kept.write(told)
-    (path,) = kept.folder.iterdir()
-    if spoil == "truncated":
-        path.write_bytes(path.read_bytes()[:-100])
-    assert cut(ball, tmp_path).made().read_bytes() == sound
-
-
-@pytest.mark.slow
-def test_a_run_killed_while_it_slices_keeps_its_blocks(tmp_path):
-    write_stl(sphere(12.0, 24, 48), tmp_path / "part.stl")
-    slow = "slicing.backends = ['planecut', 'embree']\nslicing.block_points = 1000\n"
-    (tmp_path / "ebamcheck.toml").write_text(slow + "layers.layer_height_mm = 0.025")
-    layers = tmp_path / ".a.run.unfinished" / "layers"
-    run = subprocess.Popen(
-        command("check", "part.stl", "-o", "a.run"), cwd=tmp_path, start_new_session=True,
-        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-    )  # fmt: skip
-    while count_kept(layers / "embree.parquet") < 2:
-        assert run.poll() is None
-        time.sleep(0.002)
-    os.killpg(run.pid, signal.SIGKILL)
-    run.wait()
-    done = ebamcheck("check", "part.stl", "-o", "a.run", "--resume", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert "embree: " in done.stderr
-    assert "blocks of layers of the former run are kept" in done.stderr
-    kept = read_parquet(tmp_path / "a.run" / "layers" / "embree.parquet")
-    anew = slice_part(load(tmp_path / "part.stl"), kept.heights, "embree")
-    assert [getattr(kept, name).tobytes() for name in ("points", "ring_starts", "layer_starts")] == [
-        getattr(anew, name).tobytes() for name in ("points", "ring_starts", "layer_starts")
-    ]
 
 
 # -- temporary folders and files ---------------------------------------------------------------------------
@@ -250,19 +216,6 @@ def test_what_a_killed_process_left_goes_and_what_one_at_work_has_stays(tmp_path
     assert {path.name for path in tmp_path.iterdir()} == {"ebamcheck-mine", ".notes.part", "own.csv"}
 
 
-def test_a_slice_that_was_killed_leaves_nothing_once_the_next_is_made(tmp_path):
-    write_stl(box(), tmp_path / "part.stl")
-    left = tmp_path / f".part.parquet{scratch.MARK}abc"
-    left.mkdir()
-    (left / "planecut.parquet").write_text("half")
-    done = started("slice", "part.stl", "-o", "part.parquet", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["part.parquet", "part.stl"]
-    assert len(read_parquet(tmp_path / "part.parquet")) == len(
-        slice_part(box(), read_parquet(tmp_path / "part.parquet").heights)
-    )
-
-
 @pytest.mark.parametrize(
     ("led_to_it", "code"), [(KeyboardInterrupt, ExitCode.INTERRUPTED), (ValueError, ExitCode.INTERNAL)]
 )
@@ -277,3 +230,77 @@ def test_an_interrupt_inside_compiled_code_is_an_interrupt(led_to_it, code):
     with pytest.raises(typer.Exit) as end:
         guarded(work)()
     assert end.value.exit_code == code
+
+
+def worker_of(process, name):
+    # A worker that ends while it is looked at has no command line any more.
+    with contextlib.suppress(psutil.Error):
+        for child in psutil.Process(process.pid).children():
+            if child.cmdline()[1:5] == ["-P", "-m", "ebamcheck.slicers.worker", name]:
+                return child
+    return None
+
+
+@pytest.mark.slow
+def test_a_killed_backend_is_told_and_the_others_are_whole(tmp_path_factory, tmp_path):
+    sound, path = plate_of_every_slicer(tmp_path_factory)
+    (tmp_path / "ebamcheck.toml").write_text(WIDE_TOML)
+    arguments = command("run", path, "--layer-height", 6, "-o", "k.run")
+    run = subprocess.Popen(arguments, cwd=tmp_path, stdout=subprocess.PIPE, text=True)
+    while (victim := worker_of(run, "embree")) is None:
+        assert run.poll() is None
+    victim.kill()
+    text = run.communicate()[0]
+    assert run.returncode == 0
+    assert "3 methods agree on 2 of 2 layers; lost: embree killed" in text
+    backends = untimed(tmp_path / "k.run")["backends"]
+    assert backends["embree"]["status"] == "killed"
+    assert "SIGKILL" in backends["embree"]["why"]
+    whole, found = contents(sound.folder.path), contents(tmp_path / "k.run")
+    same = [n for n in whole if n.startswith("program/")]
+    same += [f"layers/{n}.parquet" for n, record in backends.items() if record["status"] == "done"]
+    assert len(same) > 4
+    assert {n: found[n] for n in same} == {n: whole[n] for n in same}
+
+
+def test_of_two_methods_one_fails(tmp_path):
+    path = write_stl(from_arrays(frame().vertices, frame().faces[:-1], "open"), tmp_path / "open.stl")
+    result = run_job(path, tmp_path / "open.run", SETTINGS)
+    assert result.exit_code is ExitCode.OUT_OF_TOLERANCE
+    assert (gates(result)["input"], gates(result)["agreement"]) == (False, False)
+    manifest = result.folder.manifest()
+    assert manifest["backends"]["manifold"]["status"] == "refused"
+    assert manifest["backends"]["planecut"]["open_paths"] > 0
+    assert "open" in manifest["gates"][0]["text"]
+    assert any("manifold refused" in found["text"] for found in manifest["findings"])
+    assert "NOT VALIDATED" in (result.folder.program_folder / "MAIN.MPF").read_text()
+
+
+def test_a_failure_or_a_full_disk_leaves_no_run_and_the_folder_free(tmp_path, monkeypatch):
+    path = write_stl(frame(), tmp_path / "a.stl")
+    for name, error, raised, said in (
+        ("slice_all", RuntimeError("on the way"), RuntimeError, "on the way"),
+        ("compare_all", OSError(28, "No space left on device"), SettingsError, r"\.a\.run\.unfinished: cannot be written: No space"),
+    ):  # fmt: skip
+        with monkeypatch.context() as patch:
+            patch.setattr(cross_check, name, Mock(side_effect=error))
+            with pytest.raises(raised, match=said):
+                check_job(path, tmp_path / "a.run", SETTINGS)
+        assert not (tmp_path / "a.run").exists()
+    assert check_job(path, tmp_path / "a.run", SETTINGS, resume=True).folder == RunFolder(tmp_path / "a.run")
+
+
+@pytest.mark.slow
+def test_a_machine_without_opengl_goes_on_with_the_others(tmp_path):
+    write_stl(frame(), tmp_path / "frame.stl")
+    (tmp_path / "ebamcheck.toml").write_text(WIDE_TOML)
+    done = ebamcheck(
+        "check", "frame.stl", "--layer-height", 6, "-o", "a.run",
+        cwd=tmp_path, __EGL_VENDOR_LIBRARY_FILENAMES=os.devnull, DISPLAY="",
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "backend stencil is not available" in done.stdout
+    assert "libegl1" in done.stdout
+    stencil = untimed(tmp_path / "a.run")["backends"]["stencil"]
+    assert (stencil["status"], "libegl1" in stencil["why"]) == ("unavailable", True)
+    assert (tmp_path / "a.run" / "report.html").is_file()

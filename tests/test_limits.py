@@ -35,17 +35,18 @@ CASES = (
     *limits_of_tables.CASES,
 )
 
+# Checks with a sound and a faulty case in tests of their own
 ELSEWHERE = {
     # How a table turns, and that it is taken back: test_tilt_table.py.
     "table turns", "frame taken back",
     # Scans of a plate that heat more, or less, than the model says: test_preheat_made_wrong.py.
     "preheat balance",
-    # Hashes, signatures and records, equal or not: test_certificate.py, test_forgeries.py, test_verified_runs.py.
+    # Hashes, signatures and records, equal or not: test_certificate.py, test_forgeries.py.
     "settings unchanged", "file unchanged", "part unchanged", "certificate", "certificate seal", "signature", "record", "verdict", "handshake",
     "program", "worked out again", "part sound", "mounting",
 }  # fmt: skip
-"""Checks with a sound and a faulty case in tests of their own."""
 
+# Constants of rooms of checks that need no two cases, by the reason
 NO_LIMITS = {
     "how finely something is looked at": """
         bead_checks.MARGIN bead_checks.CRUMB narrow_features.CRUMB subject.BEAD_STEP_MM clearance.PLACES metal.STEP_SHARE
@@ -81,14 +82,13 @@ NO_LIMITS = {
         value_checks.MOST_SLACK findings.STEEP_DEG findings.ROUNDING_MM findings.MOST_NARROW
         narrow_features.LONG narrow_features.TAPERS""",
 }
-"""Constants of rooms of checks that need no two cases, by the reason."""
 
+# Settings that other gates, or other checks, rest on
 NOT_JUDGED_HERE = {
     "comparison.tolerance_mm", "comparison.evidence_share", "comparison.doubt_mm",  # of slicers: test_comparison.py, test_doubt.py
     "curves.largest_lift_mm", "curves.largest_bulge_mm",  # of curves: test_curve_evidence.py
     "process.melting_efficiency", "process.dilution",  # data of the process: test_interpass.py
 }  # fmt: skip
-"""Settings that other gates, or other checks, rest on."""
 
 
 @pytest.mark.parametrize("case", CASES, ids=str)

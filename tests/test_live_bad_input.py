@@ -5,26 +5,15 @@ import errno
 import json
 import math
 import os
-import socket
-from contextlib import asynccontextmanager
 
 import pytest
-from parts import box
 
 from ebamcheck.live import publishing
 from ebamcheck.live.building import Building, answer_to
-from ebamcheck.live.making import LayerMaker, MadeLayer
+from ebamcheck.live.making import MadeLayer
 from ebamcheck.live.publishing import read_current
-from ebamcheck.settings.config import Config
-from ebamcheck.settings.machine import OpcuaSettings
 
-TOP_MM = 5.2
-
-
-@pytest.fixture(scope="module")
-def maker():
-    with LayerMaker(box(upper=(30, 24, TOP_MM)), Config()) as made:
-        yield made
+SIZE = (30, 24, TOP_MM := 5.2)
 
 
 @pytest.fixture
@@ -71,6 +60,8 @@ TEXTS = {
     "a text for a number": (line(done=1, height_mm="1.8"), "not-a-number"),
     "a truth for a number": (line(done=1, height_mm=True), "not-a-number"),
     "a list for a number": (line(done=1, height_mm=[1.8]), "not-a-number"),
+    "a truth for a counter": (line(done=True, height_mm=1.8), "counter"),
+    "bytes that are no text": (b"\xff\xfe height", "unreadable"),
     "a number of a thousand digits": (b'{"event":"height","done":1,"height_mm":1' + b"0" * 1000 + b"}", "not-a-number"),
     "another unit": (line(done=1, height_mm=1.8, unit="in"), "unit"),
     "no counter": (line(height_mm=1.8), "missing"),
@@ -153,8 +144,8 @@ def test_a_rest_under_the_least_layer_that_no_gate_lets_through_ends_the_build_a
     assert building.finished
 
 
-@pytest.mark.parametrize("place", ["certificate", "current"])
-def test_a_full_disk_keeps_the_layer_and_the_server_goes_on_when_there_is_room(place, building, monkeypatch):
+@pytest.mark.parametrize("step", ["certificate", "current"])
+def test_a_full_disk_keeps_the_layer_and_the_server_goes_on_when_there_is_room(step, building, monkeypatch):
     building.start()
     before = read_current(building.folder)
     full = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
@@ -163,7 +154,7 @@ def test_a_full_disk_keeps_the_layer_and_the_server_goes_on_when_there_is_room(p
         def no_room(*given):
             raise full
 
-        patch.setattr(publishing, "values_as_toml" if place == "certificate" else "write_synced", no_room)
+        patch.setattr(publishing, "values_as_toml" if step == "certificate" else "write_synced", no_room)
         kept = answer_to(building, line(done=1, height_mm=1.8))
         assert kept["answer"] == "kept"
         assert "No space left" in kept["reason"]
@@ -192,85 +183,29 @@ def test_a_disk_without_room_for_the_journal_is_told_and_nothing_is_published(bu
 # -- the door of a control ---------------------------------------------------------------------------
 
 
-@asynccontextmanager
-async def on_a_control(maker, folder):
-    """A control on which a program waits, a door that leads it, and what that told."""
-    from ebamcheck.live.opcua.door import Door
-    from ebamcheck.live.opcua.handshake import OFFSETS
-    from ebamcheck.live.opcua.link import installed
-    from ebamcheck.testing.played_control.program import Panel
-    from ebamcheck.testing.played_control.server import PlayedServer
-
-    installed()
-    with socket.socket() as found:
-        found.bind(("127.0.0.1", 0))
-        url = f"opc.tcp://127.0.0.1:{found.getsockname()[1]}"
-    opcua = OpcuaSettings(
-        url=url, security="none", anonymous=True, look_s=0.1, retry_s=0.1, longest_retry_s=0.4, request_s=2.0
-    )
-    panel, told, first = Panel(), [], maker.config.machine.live_r
-
-    def r(role):
-        return first + OFFSETS[role]
-
-    async def program():
-        while True:
-            panel.set(r("waited"), panel.get(r("waited")) + 0.5)
-            await asyncio.sleep(0.05)
-
-    building = Building(maker, folder)
-    async with PlayedServer(panel, maker.config.machine, opcua, None).serving():
-        tasks = [
-            asyncio.create_task(program()),
-            asyncio.create_task(Door(building, maker.config.machine, opcua, told.append).run()),
-        ]
-        try:
-            yield panel, r, told
-        finally:
-            for task in tasks:
-                task.cancel()
-            await asyncio.gather(*tasks, return_exceptions=True)
-            building.close()
-
-
-async def until(condition, limit_s=20.0):
-    for _ in range(int(limit_s / 0.05)):
-        if condition():
-            return
-        await asyncio.sleep(0.05)
-    raise AssertionError("it does not come to it")
-
-
 @pytest.mark.slow
 def test_every_bad_height_on_a_control_is_refused_and_releases_nothing(maker, tmp_path):
     pytest.importorskip("asyncua", reason="needs the extra opcua: pip install 'ebamcheck[opcua]'")
+    from opcua_controls import codes, control, door, on_a_desk, until
 
     async def play():
-        async with on_a_control(maker, tmp_path / "b") as (panel, r, told):
-            await until(lambda: panel.get(r("released")) == 1.0)
-            panel.set(r("done"), 1.0)
+        opcua = on_a_desk()
+        async with control(maker, opcua) as at, door(maker, tmp_path / "b", opcua) as told:
+            await until(lambda: at["released"] == 1.0)
+            at["done"] = 1.0
             # What no variable holds, `missing`, is one that is no number there.
-            for name, (height, code) in HEIGHTS.items():
-                shown = math.nan if height is None else height
-                wanted = {"not-a-number"} if height is None or not math.isfinite(shown) else {code}
+            heights = [
+                (math.nan if h is None else h, code.replace("missing", "not-a-number"))
+                for h, code in HEIGHTS.values()
+            ]
+            for height, code, measured in [*((*one, 1.0) for one in heights), (1.8, "counter-jump", 3.0)]:
                 told.clear()
-                panel.set(r("height"), shown)
-                panel.set(r("measured"), 1.0)
-                await until(lambda wanted=wanted: wanted & {text.get("code") for text in told})
-                assert panel.get(r("released")) == 1.0, name
-                panel.set(r("measured"), 0.0)
+                at["height"], at["measured"] = height, measured
+                await until(lambda code=code: code in codes(told))
+                assert at["released"] == 1.0, height
+                at["measured"] = 0.0
                 await asyncio.sleep(0.3)
-            for shown, code in ((3.0, "counter-jump"), (-1.0, "counter-jump")):
-                told.clear()
-                panel.set(r("height"), 1.8)
-                panel.set(r("measured"), shown)
-                await asyncio.sleep(0.6)
-                assert panel.get(r("released")) == 1.0
-                assert shown < 0 or code in {text.get("code") for text in told}
-                panel.set(r("measured"), 0.0)
-                await asyncio.sleep(0.3)
-            panel.set(r("height"), 1.8)
-            panel.set(r("measured"), 1.0)
-            await until(lambda: panel.get(r("released")) == 2.0)
+            at["height"], at["measured"] = 1.8, 1.0
+            await until(lambda: at["released"] == 2.0)
 
     asyncio.run(play())

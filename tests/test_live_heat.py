@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 import shapely
 from command_line import write_stl
 from live_boxes import maker_of, run_of_box
+from parts import box
 from prism_program import CONFIG, Made
 
 import ebamcheck
@@ -16,6 +18,8 @@ from ebamcheck.checks.heat_again import BeadHeat
 from ebamcheck.checks.interpass_checks import INTERPASS
 from ebamcheck.checks.metal import deposit
 from ebamcheck.checks.metal_rules import MetalBelow, deposit_checks
+from ebamcheck.heat.interpass import greatest_that_fits
+from ebamcheck.heat.near_field import DIRECTIONS, FELT, ON_OUTLINE_MM, enclosed_share, ray_table
 from ebamcheck.live import building as building_module
 from ebamcheck.live import verifying
 from ebamcheck.live.before import Before, metal_checks
@@ -25,8 +29,6 @@ from ebamcheck.live.verifying import FollowedLayers, verify_build
 from ebamcheck.metal import Surface
 from ebamcheck.program import read_program
 from ebamcheck.settings.config import Config
-from ebamcheck.writing.bead_ends import planned_path
-from tests.parts import box
 
 THICKNESS_MM = 1.7
 
@@ -269,22 +271,6 @@ def hump(height_mm):
     return surface
 
 
-def test_a_layer_mends_the_surface_that_it_lies_on(stack):
-    made, _ = stack
-    level = planned_path(made.beads, made.plan, CONFIG)
-    uneven = planned_path(made.beads, replace(made.plan, stands=hump(1.0)), CONFIG)
-
-    def laid(path, x_side):
-        first, last = path.track_starts[0], path.track_starts[path.layer_starts[1]]
-        middle = 0.5 * (path.segment_start[first:last] + path.end[first:last])
-        length = np.hypot(*(path.end[first:last] - path.segment_start[first:last]).T)
-        there = (middle[:, 0] < 30) if x_side < 0 else (middle[:, 0] > 40)
-        return float((path.width[first:last] * length)[there].sum() / length[there].sum())
-
-    assert laid(uneven, -1) < 0.95 * laid(level, -1)
-    assert laid(uneven, 1) > 1.05 * laid(level, 1)
-
-
 def test_a_surface_that_is_too_uneven_refuses_the_layer(stack):
     _, single = stack
     layer, section, config = single[1]
@@ -299,3 +285,47 @@ def test_a_surface_that_is_too_uneven_refuses_the_layer(stack):
 
     assert "surface" not in failed(1.0)
     assert "surface" in failed(4.0 * limit_mm)
+
+
+def test_the_greatest_that_fits_is_found_from_every_guess_and_no_number_is_asked_twice():
+    for low, high, guess in itertools.product(range(8), range(1, 10), range(12)):
+        for top in range(low - 1, high):
+            asked: list[int] = []
+
+            def fits(n: int, top: int = top, asked: list[int] = asked) -> bool:
+                asked.append(n)
+                return n <= top
+
+            if low < high:
+                assert greatest_that_fits(fits, low, high, guess) == max(top, low)
+                assert len(set(asked)) == len(asked)
+                assert all(low <= n < high for n in asked)
+
+
+@pytest.mark.parametrize("corners", [202, 7, 4 * DIRECTIONS])
+def test_what_is_in_sight_is_what_the_plain_sum_says(corners):
+    # Of the last ring corners lie on rays from its middle, or a hair beside them.
+    turn = np.linspace(0.0, 2.0 * np.pi, corners + 1)
+    ring = np.column_stack([(50.0 + 10.0 * np.sin(7.0 * turn)) * f(turn) for f in (np.cos, np.sin)])
+    ring[-1] = ring[0]
+    segments = np.hstack([ring[:-1], ring[1:]])
+    draw = np.random.default_rng(0)
+    points, variance = draw.uniform(-25.0, 25.0, (11, 2)), draw.uniform(300.0, 900.0, (11, 3))
+    # All of the ring is felt.
+    variance[:, 2] = 110.0**2 / (2.0 * FELT)
+    points[:4] = np.array([[0.0, 0.0], [1e-13, 0.0], [0.0, -1e-9], [1e-6, 1e-6]])
+    a, b = segments[:, :2] - points[:, None], segments[:, 2:] - points[:, None]
+    wanted = np.zeros(variance.shape)
+    for dx, dy, share in ray_table().T:
+        left, right = dx * a[..., 1] - dy * a[..., 0], dx * b[..., 1] - dy * b[..., 0]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            place = a + (left / (left - right))[..., None] * (b - a)
+        reach = place @ np.array([dx, dy])
+        met = ((left > 0.0) != (right > 0.0)) & (reach > ON_OUTLINE_MM)
+        nearest = np.where(met, reach, np.inf).min(axis=1)
+        wanted -= share * np.expm1(-0.5 * nearest[:, None] ** 2 / variance)
+    # A second part, far away: no segment goes from the outline of the one to that of the other.
+    section = shapely.MultiPolygon([shapely.Polygon(ring), shapely.box(900.0, 0.0, 901.0, 1.0)])
+    assert enclosed_share(section, points, variance) == pytest.approx(wanted, abs=1e-10)
+    assert ray_table()[2].sum() == pytest.approx(1.0)
+    assert np.hypot(*ray_table()[:2]) == pytest.approx(np.ones(DIRECTIONS))

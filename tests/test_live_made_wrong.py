@@ -23,8 +23,7 @@ from ebamcheck.mesh.part_source import read_part
 from ebamcheck.settings.config import Config
 
 CONFIG = Config().changed(process={"interpass_limit_k": 420.0, "interpass": "dwell"})
-LOW_MM, HIGH_MM = 3.0, 5.0
-"""Z of the part's lowest point in its file, and its height."""
+LOW_MM, HIGH_MM = 3.0, 5.0  # Z of the part's lowest point in its file, and its height
 
 
 def tapered():

@@ -5,14 +5,13 @@ from __future__ import annotations
 import asyncio
 import json
 import os
-import re
 import socket
 import subprocess
 import sys
 
 import pytest
 from command_line import ebamcheck
-from live_boxes import maker_of, puts, run_of_box
+from live_boxes import puts
 from opcua_controls import LONGEST_S, control, free_url, on_a_desk
 
 from ebamcheck.controls.sinumerik.handshake import run_text
@@ -22,31 +21,12 @@ from ebamcheck.errors import SettingsError
 from ebamcheck.live.opcua.handshake import node_ids
 from ebamcheck.live.opcua.link import Link, LinkLost, LoginRefused, checked, installed
 from ebamcheck.live.publishing import read_journal
-from ebamcheck.live.relaying import finished_run
 from ebamcheck.settings.config import Config, load_config
 from ebamcheck.settings.machine import OpcuaSettings
 from ebamcheck.showing.plotting import ExtraMissing
-from ebamcheck.testing.played_control.program import planned_s, top_of
 from ebamcheck.testing.played_control.server import desk_profile
 
 SIZE = (30, 24, 5.2)
-
-
-@pytest.fixture(scope="module", autouse=True)
-def quiet():
-    installed()
-
-
-@pytest.fixture(scope="module")
-def place(tmp_path_factory):
-    """Folder with a run of a box of three layers."""
-    return run_of_box(tmp_path_factory, SIZE)
-
-
-@pytest.fixture(scope="module")
-def maker(place):
-    with maker_of(place) as made:
-        yield made
 
 
 @pytest.mark.slow
@@ -248,14 +228,3 @@ def test_nodes_are_those_of_the_profile():
 
 def replace_section(section, **changes):
     return section.model_copy(update=changes)
-
-
-def test_the_played_control_reads_top_and_time_from_the_text_alone(maker, place):
-    text = next((place / "box.run" / "program").glob("*_L0001.SPF")).read_text()
-    assert top_of(text) == pytest.approx(finished_run(place / "box.run").tops_mm[0], abs=1e-6)
-    table = (place / "box.run" / "process.csv").read_text().splitlines()
-    row = dict(zip(table[0].split(","), table[1].split(","), strict=True))
-    waits_s = sum(float(found) for found in re.findall(r" G4 F([\d.]+)", text))
-    driven_s = float(row["deposit_s"]) + float(row["travel_s"])
-    # Rapid moves up and down are left out.
-    assert float(row["deposit_s"]) <= planned_s(text, 100.0) - waits_s <= driven_s

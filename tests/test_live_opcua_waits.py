@@ -8,31 +8,20 @@ from contextlib import asynccontextmanager
 from urllib.parse import urlsplit
 
 import pytest
-from live_boxes import maker_of, run_of_box
 
 pytest.importorskip("asyncua", reason="needs the extra opcua: pip install 'ebamcheck[opcua]'")
 
-from opcua_controls import control, free_url, on_a_desk, until
+from opcua_controls import control, free_url, of_its_own_loop, on_a_desk, until
 
 from ebamcheck.live.building import Building
 from ebamcheck.live.opcua.door import Door
-from ebamcheck.live.opcua.link import BrokenOff, Link, within
+from ebamcheck.live.opcua.link import BrokenOff, within
 from ebamcheck.testing.played_control.program import Panel
 from ebamcheck.testing.played_control.server import PlayedServer
 
+SIZE = (30, 24, 5.2)
+# Turns of the event loop over which a cancellation is tried against an end that comes in the middle of them
 STEPS = 8
-"""Turns of the event loop over which a cancellation is tried against an end that comes in the middle of them."""
-
-
-@pytest.fixture(scope="module")
-def place(tmp_path_factory):
-    return run_of_box(tmp_path_factory, (30, 24, 7))
-
-
-@pytest.fixture(scope="module")
-def maker(place):
-    with maker_of(place) as made:
-        yield made
 
 
 async def turns(count):
@@ -41,41 +30,37 @@ async def turns(count):
 
 
 @pytest.mark.parametrize("after", range(STEPS))
-def test_a_cancellation_is_never_lost_though_the_wait_ends_with_it(after):
-    async def play():
-        event, went_on = asyncio.Event(), []
+@of_its_own_loop
+async def test_a_cancellation_is_never_lost_though_the_wait_ends_with_it(after):
+    event, went_on = asyncio.Event(), []
 
-        async def waits():
-            await within(event.wait(), 5.0)
-            went_on.append(True)
-            # Whoever goes on comes to another wait, and is there when it is cancelled, or was told while it waited.
-            await asyncio.sleep(5.0)
+    async def waits():
+        await within(event.wait(), 5.0)
+        went_on.append(True)
+        # Whoever goes on comes to another wait, and is there when it is cancelled, or was told while it waited.
+        await asyncio.sleep(5.0)
 
-        task = asyncio.create_task(waits())
-        await turns(4)
-        asyncio.get_running_loop().call_soon(event.set)
-        await turns(after)
-        task.cancel()
-        done, _ = await asyncio.wait([task], timeout=2.0)
-        assert done == {task}
-        assert task.cancelled()
-
-    asyncio.run(play())
+    task = asyncio.create_task(waits())
+    await turns(4)
+    asyncio.get_running_loop().call_soon(event.set)
+    await turns(after)
+    task.cancel()
+    done, _ = await asyncio.wait([task], timeout=2.0)
+    assert done == {task}
+    assert task.cancelled()
 
 
-def test_a_wait_ends_in_time_and_tells_what_was_cancelled_from_within():
-    async def play():
-        with pytest.raises(TimeoutError):
-            await within(asyncio.sleep(5.0), 0.05)
-        broken = asyncio.get_running_loop().create_future()
-        asyncio.get_running_loop().call_soon(broken.cancel)
-        with pytest.raises(BrokenOff):
-            await within(broken, 5.0)
-        assert await within(asyncio.sleep(0.0, "here"), 5.0) == "here"
-        with pytest.raises(ZeroDivisionError):
-            await within(_fails(), 5.0)
-
-    asyncio.run(play())
+@of_its_own_loop
+async def test_a_wait_ends_in_time_and_tells_what_was_cancelled_from_within():
+    with pytest.raises(TimeoutError):
+        await within(asyncio.sleep(5.0), 0.05)
+    broken = asyncio.get_running_loop().create_future()
+    asyncio.get_running_loop().call_soon(broken.cancel)
+    with pytest.raises(BrokenOff):
+        await within(broken, 5.0)
+    assert await within(asyncio.sleep(0.0, "here"), 5.0) == "here"
+    with pytest.raises(ZeroDivisionError):
+        await within(_fails(), 5.0)
 
 
 async def _fails():
@@ -121,76 +106,39 @@ class Line:
                     writer.write(data)
 
 
-def test_a_link_that_is_cancelled_while_it_logs_out_does_not_go_on(maker):
-    """The control is mute: logging out takes until its limit, and is cancelled meanwhile."""
-
-    async def play():
-        opcua = on_a_desk()
-        line_url = free_url()
-        leave, went_on = asyncio.Event(), []
-
-        async def holds():
-            async with Link(maker.config.machine, opcua.model_copy(update={"url": line_url})):
-                await leave.wait()
-            went_on.append(True)
-            await asyncio.sleep(30.0)
-
-        async with control(maker, opcua, waits=False), Line(opcua.url).at(line_url) as line:
-            task = asyncio.create_task(holds())
-            await asyncio.sleep(1.0)
-            line.mute = True
-            leave.set()
-            await asyncio.sleep(0.5)
-            assert not task.done()
-            task.cancel()
-            await asyncio.wait([task], timeout=8.0)
-            ended, on = task.done(), list(went_on)
-            task.cancel()
-            await asyncio.wait([task], timeout=4.0)
-            assert ended
-            assert task.cancelled()
-            assert on == []
-
-    asyncio.run(play())
-
-
 @pytest.mark.parametrize("after_s", [0.3, *(pytest.param(s, marks=pytest.mark.slow) for s in (1.9, 2.4))])
-def test_a_door_that_is_cancelled_once_ends_though_its_control_is_mute(maker, tmp_path, after_s):
-    async def play():
-        opcua = on_a_desk(request_s=0.5)
-        line_url = free_url()
-        told, building = [], Building(maker, tmp_path / "b")
-        door = Door(building, maker.config.machine, opcua.model_copy(update={"url": line_url}), told.append)
-        try:
-            async with control(maker, opcua) as at, Line(opcua.url).at(line_url) as line:
-                task = asyncio.create_task(door.run())
-                await until(lambda: at["released"] == 1.0)
-                line.mute = True
-                await asyncio.sleep(after_s)
-                task.cancel()
-                await asyncio.wait([task], timeout=5.0)
-                assert task.cancelled()
-        finally:
-            building.close()
-
-    asyncio.run(play())
+@of_its_own_loop
+async def test_a_door_that_is_cancelled_once_ends_though_its_control_is_mute(maker, tmp_path, after_s):
+    opcua = on_a_desk(request_s=0.5)
+    line_url = free_url()
+    told, building = [], Building(maker, tmp_path / "b")
+    door = Door(building, maker.config.machine, opcua.model_copy(update={"url": line_url}), told.append)
+    try:
+        async with control(maker, opcua) as at, Line(opcua.url).at(line_url) as line:
+            task = asyncio.create_task(door.run())
+            await until(lambda: at["released"] == 1.0)
+            line.mute = True
+            await asyncio.sleep(after_s)
+            task.cancel()
+            await asyncio.wait([task], timeout=5.0)
+            assert task.cancelled()
+    finally:
+        building.close()
 
 
-def test_a_played_control_ends_while_it_is_away(maker):
+@of_its_own_loop
+async def test_a_played_control_ends_while_it_is_away(maker):
     """It goes away because an upload asks for it; the library loses a cancellation while it takes itself down."""
 
-    async def play():
-        server = PlayedServer(Panel(), maker.config.machine, on_a_desk(), None)
-        serving = server.serving()
-        await serving.__aenter__()
-        cleaning = server._server.bserver.cleanup_task
-        server.broke.set()
-        while not cleaning.cancelling():
-            await asyncio.sleep(0)
-        # It waits for its own cleaning to end, and takes what comes now for that.
-        ending = asyncio.create_task(serving.__aexit__(None, None, None))
-        await asyncio.wait([ending], timeout=10.0)
-        assert ending.done()
-        ending.result()
-
-    asyncio.run(play())
+    server = PlayedServer(Panel(), maker.config.machine, on_a_desk(), None)
+    serving = server.serving()
+    await serving.__aenter__()
+    cleaning = server._server.bserver.cleanup_task
+    server.broke.set()
+    while not cleaning.cancelling():
+        await asyncio.sleep(0)
+    # It waits for its own cleaning to end, and takes what comes now for that.
+    ending = asyncio.create_task(serving.__aexit__(None, None, None))
+    await asyncio.wait([ending], timeout=10.0)
+    assert ending.done()
+    ending.result()

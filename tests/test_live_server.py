@@ -2,23 +2,24 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
-import shutil
 import tracemalloc
+from contextlib import closing
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 from command_line import command, ebamcheck
-from live_boxes import Server, bad_lines, failed_checks, maker_of, play, run_of_box
+from live_boxes import Server, failed_checks, made_again, play, third_layer
 
 from ebamcheck.errors import InputError, SettingsError
-from ebamcheck.live.before import Before
+from ebamcheck.json_values import sha256_of_file
+from ebamcheck.live import publishing
 from ebamcheck.live.building import Building, answer_to
 from ebamcheck.live.heights_table import PLOT, TABLE, HeightsTable, laid_height, read_heights
-from ebamcheck.live.making import LayerMaker, Wanted
+from ebamcheck.live.making import LayerMaker
 from ebamcheck.live.publishing import (
+    CURRENT,
     JOURNAL,
     LAYERS,
     Journal,
@@ -30,18 +31,6 @@ from ebamcheck.live.publishing import (
 from ebamcheck.testing.played_control.program import Growth
 
 SIZE = (30, 24, 12)
-
-
-@pytest.fixture(scope="module")
-def place(tmp_path_factory):
-    """Folder with a run of a box of seven layers."""
-    return run_of_box(tmp_path_factory, SIZE)
-
-
-@pytest.fixture(scope="module")
-def maker(place):
-    with maker_of(place) as made:
-        yield made
 
 
 # -- the journal -------------------------------------------------------------------------------------
@@ -73,29 +62,20 @@ def test_a_line_that_was_cut_off_goes_and_the_rest_stays(tmp_path):
         assert len(list(read_journal(path))) == 1
         with Journal(path) as journal:
             assert journal.lines == 1
+            with pytest.raises(SettingsError, match="another `ebamcheck live` writes to it"):
+                Journal(path)
         assert path.read_bytes() == whole[:first]
 
 
-def test_two_servers_on_one_journal_are_refused(tmp_path):
-    with Journal(tmp_path / "j"), pytest.raises(SettingsError, match="another `ebamcheck live` writes to it"):
-        Journal(tmp_path / "j")
-
-
 def test_replay_gives_the_same_bytes_and_another_build_is_refused(place, maker, tmp_path):
-    made = Building(maker, tmp_path / "b")
-    made.start()
-    made.height({"done": 1, "height_mm": 1.9})
-    made.height({"done": 2, "height_mm": 3.3})
-    made.close()
-    files = {
-        p.relative_to(tmp_path / "b"): p.read_bytes() for p in (tmp_path / "b").rglob("*") if p.is_file()
-    }
+    with closing(Building(maker, tmp_path / "b")) as build:
+        build.start()
+        build.height({"done": 1, "height_mm": 1.9})
+        build.height({"done": 2, "height_mm": 3.3})
     fresh = tmp_path / "c"
-    fresh.mkdir()
-    shutil.copy(tmp_path / "b" / JOURNAL, fresh / JOURNAL)
-    again = Building(maker, fresh)
-    again.close()
-    assert {p.relative_to(fresh): p.read_bytes() for p in fresh.rglob("*") if p.is_file()} == files
+    assert made_again(maker, tmp_path / "b", fresh)
+    for name in (CURRENT, TABLE):
+        assert (fresh / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
     done = ebamcheck("live", place / "box.run", "--replay", fresh / JOURNAL, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "3 layers made again" in done.stdout
@@ -107,113 +87,91 @@ def test_replay_gives_the_same_bytes_and_another_build_is_refused(place, maker, 
         Building(changed, fresh)
 
 
-def test_a_journal_whose_layer_is_not_what_comes_out_is_refused(place, maker, tmp_path):
-    with Journal(tmp_path / "b" / JOURNAL) as journal:
-        building = Building(maker, tmp_path / "x")
-        journal.append({"kind": "begin", **building._of()})
-        building.close()
-        journal.append({"kind": "height", "done": 0, "height_mm": 0.0})
-        journal.append({"kind": "layer", "name": "MAIN_K0001R1", "files": {"MAIN_K0001R1.MPF": "0" * 64}})
-    with pytest.raises(InputError, match="other bytes"):
-        Building(maker, tmp_path / "b")
-    done = ebamcheck("live", place / "box.run", "--replay", tmp_path / "b" / JOURNAL, cwd=tmp_path)
+def test_a_journal_with_other_bytes_or_waits_than_come_out_is_refused(place, maker, tmp_path):
+    with closing(Building(maker, tmp_path / "b")) as build:
+        build.start()
+    entries = list(read_journal(tmp_path / "b" / JOURNAL))
+    assert [entry["kind"] for entry in entries] == ["begin", "height", "layer"]
+    wait_s = entries[-1]["wait_s"]
+    for name, changes in (
+        ("same", {}),
+        ("another wait", {"wait_s": wait_s + 1.0}),
+        ("other bytes", {"files": {"MAIN_K0001R1.MPF": "0" * 64}}),
+    ):
+        with Journal(tmp_path / name / JOURNAL) as journal:
+            for entry in [*entries[:-1], {**entries[-1], **changes}]:
+                journal.append({key: value for key, value in entry.items() if key != "after"})
+        if name == "same":
+            Building(maker, tmp_path / name).close()
+            continue
+        with pytest.raises(InputError, match=name):
+            Building(maker, tmp_path / name)
+    done = ebamcheck("live", place / "box.run", "--replay", tmp_path / "other bytes" / JOURNAL, cwd=tmp_path)
     assert done.returncode == 1
 
 
-def test_a_journal_with_another_wait_than_comes_out_is_refused(maker, tmp_path):
-    made = Building(maker, tmp_path / "b")
-    made.start()
-    made.close()
-    entries = list(read_journal(tmp_path / "b" / JOURNAL))
-    assert [entry["kind"] for entry in entries] == ["begin", "height", "layer"]
-    for name, more_s in (("same", 0.0), ("other", 1.0)):
-        with Journal(tmp_path / name / JOURNAL) as journal:
-            for entry in entries:
-                waits = {"wait_s": entry["wait_s"] + more_s} if "wait_s" in entry else {}
-                journal.append({key: value for key, value in {**entry, **waits}.items() if key != "after"})
-    Building(maker, tmp_path / "same").close()
-    with pytest.raises(InputError, match="another wait"):
-        Building(maker, tmp_path / "other")
+class Killed(BaseException):
+    """What no handler catches, as a kill is not caught."""
 
 
-@pytest.mark.parametrize("place_of_kill", ["staged", "renamed", "journalled"])
-def test_a_kill_at_any_moment_leaves_the_last_validated_layer(maker, tmp_path, monkeypatch, place_of_kill):
-    from ebamcheck.live import publishing
+@pytest.mark.parametrize("step", ["publish", "journal", "write_synced"])
+def test_a_kill_at_any_moment_leaves_the_last_validated_layer(maker, tmp_path, monkeypatch, step):
+    folder, reading = tmp_path / "b", {"done": 1, "height_mm": 1.9}
 
-    class Killed(BaseException):
-        """What no handler catches, as a kill is not caught."""
+    def kill(entry=None, *_args, **_kwargs):
+        if step != "journal" or entry["kind"] == "layer":
+            raise Killed
+        return appended(entry)
 
-    folder = tmp_path / "b"
-    made = Building(maker, folder)
-    made.start()
-    told = read_current(folder)
-
-    def kill(*_args, **_kwargs):
-        raise Killed
-
-    if place_of_kill == "staged":
-        monkeypatch.setattr(publishing, "publish", kill)
-    elif place_of_kill == "renamed":
-        appended = made.journal.append
-        monkeypatch.setattr(
-            made.journal, "append", lambda entry: kill() if entry["kind"] == "layer" else appended(entry)
-        )
-    else:
-        monkeypatch.setattr(publishing, "write_synced", kill)
-    with pytest.raises(Killed):
-        made.height({"done": 1, "height_mm": 1.9})
-    made.close()
-    monkeypatch.undo()
+    with closing(Building(maker, folder)) as build, monkeypatch.context() as patch:
+        build.start()
+        told, appended = read_current(folder), build.journal.append
+        patch.setattr(*((build.journal, "append") if step == "journal" else (publishing, step)), kill)
+        with pytest.raises(Killed):
+            build.height(reading)
     assert read_current(folder) == told
-    called = folder / told["program"]
-    assert hashlib.sha256(called.read_bytes()).hexdigest() == told["sha256"]
+    assert sha256_of_file(folder / told["program"]) == told["sha256"]
     # What the kill left of a layer in the making goes when the build goes on.
     (folder / ".making.left" / "program").mkdir(parents=True)
-    again = Building(maker, folder)
-    assert not list(folder.glob(".making.*"))
-    answer = again.height({"done": 1, "height_mm": 1.9})
-    again.close()
-    assert answer["answer"] == "published"
-    assert answer["layer"] == 2
-    untouched = Building(maker, tmp_path / "never")
-    untouched.start()
-    assert untouched.height({"done": 1, "height_mm": 1.9})["sha256"] == answer["sha256"]
-    untouched.close()
+    with closing(Building(maker, folder)) as build:
+        assert not list(folder.glob(".making.*"))
+        answer = build.height(reading)
+    assert (answer["answer"], answer["layer"]) == ("published", 2)
+    with closing(Building(maker, tmp_path / "never")) as untouched:
+        untouched.start()
+        assert untouched.height(reading)["sha256"] == answer["sha256"]
 
 
-def test_a_file_that_was_exchanged_before_publishing_is_not_published(maker, tmp_path):
-    made = maker.make(
-        Wanted(2, 3.4, 1.6, "MAIN_K0003R1"), Before.cold(maker.config), tmp_path / "s" / "program"
-    )
+def test_what_was_exchanged_or_is_not_validated_is_never_published(maker, tmp_path):
+    made = third_layer(maker, tmp_path / "s")
     certificate = certificate_of(made, maker)
     path = made.files.folder / made.files.names[1]
     path.write_text(path.read_text() + "\n")
     with pytest.raises(SettingsError, match="not the file that was verified"):
         publish(tmp_path / "b", made, certificate)
-    assert read_current(tmp_path / "b") is None
-
-
-def test_what_is_not_validated_is_never_published(maker, tmp_path):
-    made = maker.make(
-        Wanted(2, 3.4, 0.5, "MAIN_K0003R1"), Before.cold(maker.config), tmp_path / "s" / "program"
-    )
-    assert not made.passed
-    assert "process window" in made.why
+    thin = third_layer(maker, tmp_path / "t", 0.5)
+    assert not thin.passed
+    assert "process window" in thin.why
     with pytest.raises(InputError, match="not validated"):
-        publish(tmp_path / "b", made, certificate_of(made, maker))
-    assert not (tmp_path / "b").exists()
+        publish(tmp_path / "b", thin, certificate_of(thin, maker))
+    assert read_current(tmp_path / "b") is None
 
 
 def test_memory_does_not_grow_over_thousands_of_lines(maker, tmp_path):
     building = Building(maker, tmp_path / "b")
-    first = building.start()
+    building.start()
     good = json.dumps({"event": "height", "done": 1, "height_mm": 1.8}).encode()
-    bad = bad_lines(1, 0.0, first["thickness_mm"])
+    bad = [
+        b"\xff",
+        b'{"event": "launch"}',
+        good.replace(b"1.8", b"true"),
+        good.replace(b'"done": 1', b'"done": 5'),
+    ]
     answer_to(building, good)
 
     def round_of(count):
         for k in range(count):
-            answer_to(building, bad[k % len(bad)][1])
+            answer_to(building, bad[k % len(bad)])
             answer_to(building, good)
 
     round_of(200)
@@ -231,21 +189,18 @@ def test_memory_does_not_grow_over_thousands_of_lines(maker, tmp_path):
 
 
 def test_the_server_outlives_bad_input_and_ends_with_its_input(place, tmp_path):
-    server = Server(command("live", place / "box.run", "-o", tmp_path / "b"), cwd=tmp_path)
-    try:
+    with closing(Server(command("live", place / "box.run", "-o", "b"), cwd=tmp_path)) as server:
         assert server.tell(event="status")["published"] is None
         assert server.ask(b"x" * 1_000_000)["code"] == "unreadable"
         assert server.tell(event="start")["answer"] == "published"
         assert server.tell(event="reset")["published"]["layer"] == 1
         assert server.tell(event="stop") == {"answer": "stopped"}
-    finally:
-        server.close()
 
 
 @pytest.mark.slow
 def test_a_server_without_a_line_says_that_it_waits(place, tmp_path):
-    server = Server(command("live", place / "box.run", "-o", tmp_path / "b", "--timeout", 0.2), cwd=tmp_path)
-    try:
+    start = command("live", place / "box.run", "-o", "b", "--timeout", 0.2)
+    with closing(Server(start, cwd=tmp_path)) as server:
         answer = server.tell(event="start")
         while answer["answer"] == "late":
             answer = server.answer()
@@ -253,8 +208,6 @@ def test_a_server_without_a_line_says_that_it_waits(place, tmp_path):
         assert late["answer"] == "late"
         assert late["published"]["name"] == answer["name"]
         assert server.tell(event="height", done=1, height_mm=1.8)["answer"] == "published"
-    finally:
-        server.close()
 
 
 @pytest.mark.parametrize(("drift", "seed"), [(0.1, 1), pytest.param(-0.1, 2, marks=pytest.mark.slow)])
@@ -283,68 +236,49 @@ def test_a_build_with_drift_and_noise_ends_at_the_top_and_every_layer_verifies(p
 
 @pytest.mark.slow
 def test_a_server_killed_in_the_middle_goes_on_where_it_was(place, tmp_path):
-    out = tmp_path / "b"
+    out, whole = tmp_path / "b", tmp_path / "w"
     start = command("live", place / "box.run", "-o", out)
     server = Server(start, cwd=tmp_path)
     answer = play(server.tell, out, Growth(0.1), most_layers=2)[-1]
     assert answer["layer"] == 3
     server.kill()
-    again = Server(start, cwd=tmp_path)
-    try:
+    with closing(Server(start, cwd=tmp_path)) as again:
         assert again.tell(event="status")["published"]["name"] == answer["name"]
         assert again.tell(event="start")["sha256"] == answer["sha256"]
         last = play(again.tell, out, Growth(0.1))[-1]
-    finally:
-        again.close()
-    whole = Server(command("live", place / "box.run", "-o", tmp_path / "w"), cwd=tmp_path)
-    try:
-        assert play(whole.tell, tmp_path / "w", Growth(0.1))[-1] == last
-    finally:
-        whole.close()
-    names = sorted(p.name for p in (out / LAYERS).iterdir())
-    assert names == sorted(p.name for p in (tmp_path / "w" / LAYERS).iterdir())
-    for name in names:
-        for file in sorted((out / LAYERS / name / "program").iterdir()):
-            assert file.read_bytes() == (tmp_path / "w" / LAYERS / name / "program" / file.name).read_bytes()
-
-
-@pytest.mark.parametrize(
-    "options", [{"drift": float("nan")}, {"drift": 5.0}, {"noise": -0.1}, {"noise": 2.0}]
-)
-def test_growth_that_no_bead_has_is_refused(options):
-    with pytest.raises(SettingsError):
-        Growth(**options)
+    with closing(Server(command("live", place / "box.run", "-o", whole), cwd=tmp_path)) as untouched:
+        assert play(untouched.tell, whole, Growth(0.1))[-1] == last
+    programs = [
+        {path.relative_to(folder): path.read_bytes() for path in folder.glob(f"{LAYERS}/*/program/*")}
+        for folder in (out, whole)
+    ]
+    assert programs[0] == programs[1] != {}
 
 
 def test_heights_of_a_build_are_tabled_and_drawn_and_come_out_the_same_again(maker, tmp_path):
-    folder = tmp_path / "b"
-    building = Building(maker, folder)
-    answers = [building.start()]
-    measured = []
-    for k in range(3):
-        last = answers[-1]
-        measured.append(last["base_mm"] + 1.08 * last["thickness_mm"])
-        answers.append(building.height({"done": k + 1, "height_mm": measured[-1]}))
-        building.heights.write()
-    building.close()
+    folder, measured = tmp_path / "b", []
+    with closing(Building(maker, folder)) as build:
+        answers = [build.start()]
+        for k in range(3):
+            measured.append(answers[k]["base_mm"] + 1.08 * answers[k]["thickness_mm"])
+            answers.append(build.height({"done": k + 1, "height_mm": measured[k]}))
+            build.heights.write()
+        planned = build.rule.plan(0.0).tops_mm[:3]
     table = read_heights(folder / TABLE)
     tops = [answer["base_mm"] + answer["thickness_mm"] for answer in answers[:3]]
     assert table["layer"].tolist() == [1, 2, 3]
     assert table["measured_top_mm"] == pytest.approx(measured, rel=1e-6)
     assert table["corrected_top_mm"] == pytest.approx(tops, rel=1e-6)
     assert table["deviation_mm"] == pytest.approx(np.subtract(measured, tops), rel=1e-5)
-    assert table["planned_top_mm"] == pytest.approx(building.rule.plan(0.0).tops_mm[:3], rel=1e-6)
+    assert table["planned_top_mm"] == pytest.approx(planned, rel=1e-6)
     assert table["grown_mm"] == pytest.approx(1.08 * table["thickness_mm"], rel=1e-5)
     drawn = ElementTree.fromstring((folder / PLOT).read_text())
     lines = [line for line in drawn.iter() if line.tag.endswith("polyline")]
-    assert len(lines) == 6
-    assert all(len(line.get("points").split()) == 3 for line in lines)
+    assert [len(line.get("points").split()) for line in lines] == [3] * 6
     before = {name: (folder / name).read_bytes() for name in (TABLE, PLOT)}
     Building(maker, folder).close()
     assert {name: (folder / name).read_bytes() for name in before} == before
-
-
-def test_a_table_that_cannot_be_written_costs_the_table_alone(tmp_path):
-    table = HeightsTable(tmp_path / "nowhere")
-    table.add(laid_height(0, np.array([1.7]), 0.0, 1.7, 1.9, 0.0))
-    table.write(ended=True)
+    lost = HeightsTable(tmp_path / "nowhere")  # a table that cannot be written costs the table alone
+    lost.add(laid_height(0, np.array([1.7]), 0.0, 1.7, 1.9, 0.0))
+    lost.write(ended=True)
+    assert not (tmp_path / "nowhere").exists()

@@ -2,27 +2,20 @@
 
 from __future__ import annotations
 
-import base64
-import io
-import re
-import xml.etree.ElementTree as ET
-
 import numpy as np
 import pytest
 import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from PIL import Image
 from prism_program import Made
 from scipy import ndimage
 from section_zoo import solids, walls
 
-from ebamcheck.checks.metal import LayerField, deposit
+from ebamcheck.checks.metal import deposit
 from ebamcheck.metal import Surface, balanced_widths, footprints, target_of
 from ebamcheck.metal.footprints import pooled
 from ebamcheck.metal.surface import HALF
 from ebamcheck.metal.target import border_distance, moved_to_neighbours
-from ebamcheck_reports.sections.metal import BLUE, COLOURS, RED, draw
 
 SECTIONS = dict([*solids(), *walls()])
 BEAD_MM = 6.0
@@ -253,37 +246,3 @@ def test_values_move_to_the_nearest_cell_that_touches():
         touching = ndimage.binary_dilation(to, np.ones((3, 3)))
         assert found.sum() == pytest.approx(field[moved & touching].sum(), abs=1e-9)
         assert not found[~to].any()
-
-
-# -- the picture of a layer's metal shows each cell by its height, and leaves what lies beside the part white --
-
-
-WHITE = (255, 255, 255)
-
-
-def images(picture: str) -> list[np.ndarray]:
-    """Pixels (rows, columns, 3) of the images of a picture, read by another reader."""
-    ET.fromstring(picture)
-    fields = re.sub(r'<g class="scale">.*?</g>', "", picture)
-    found = re.findall(r"base64,([^\"]+)", fields)
-    return [np.asarray(Image.open(io.BytesIO(base64.b64decode(data))).convert("RGB")) for data in found]
-
-
-def test_each_cell_has_the_colour_of_its_height():
-    section = shapely.box(0.0, 0.0, 4.0, 2.0)
-    target = target_of(section, 1.0, 1.0)
-    laid, over = np.zeros((4, 6)), np.zeros((4, 6))
-    laid[1, 1:5] = [0.0, 1.5, 3.0, 9.0]  # the lowest row of the section, layer 1.5 mm high
-    laid[3, 0] = 3.0  # metal beside the part is seen
-    over[2, 1:5] = [-2.0, 0.0, 2.0, 5.0]
-    metal, surface = images(draw(LayerField(target, laid, over), section, 1.5, 2.0, "a < b"))
-    assert metal.shape == surface.shape == (4, 6, 3)
-    lowest = [tuple(int(c) for c in pixel) for pixel in metal[2, 1:5]]
-    assert lowest[0] == tuple(COLOURS[1].tolist())
-    assert lowest[1] == tuple(COLOURS[128].tolist())
-    assert lowest[2] == lowest[3] == RED
-    assert tuple(metal[0, 0].tolist()) == RED
-    assert tuple(metal[3, 5].tolist()) == WHITE
-    assert tuple(surface[1, 1].tolist()) == tuple(COLOURS[1].tolist())
-    assert tuple(surface[1, 3].tolist()) == tuple(surface[1, 4].tolist()) == RED
-    assert np.abs(COLOURS[1].astype(int) - BLUE).max() <= 2

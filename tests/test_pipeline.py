@@ -6,7 +6,6 @@ import shutil
 
 import numpy as np
 import pandas as pd
-import pyarrow.parquet as pq
 import pytest
 from command_line import FAST, WIDE_TOML, ebamcheck, frame, started, write_stl
 from finished_runs import THICK, plate_of_every_slicer, plate_of_two_layers
@@ -16,7 +15,6 @@ from slicers_here import slicers_here
 
 from ebamcheck.errors import ExitCode, SettingsError
 from ebamcheck.json_values import sha256_of_file
-from ebamcheck.layers.files import LayerFile
 from ebamcheck.mesh.part import from_arrays
 from ebamcheck.pipeline import check_job, run_job
 from ebamcheck.record.run_folder import RunFolder
@@ -88,16 +86,6 @@ def test_runs_differ_in_timings_alone(tmp_path, monkeypatch):
     monkeypatch.setenv("EBAMCHECK_THREADS", "2")
     other = started("run", "ball.stl", "-o", "1", cwd=tmp_path, EBAMCHECK_THREADS="1")
     for done in (other, ebamcheck("run", "ball.stl", "-o", "2", cwd=tmp_path)):
-        assert done.returncode == 0, done.stdout + done.stderr
-    assert contents(tmp_path / "1") == contents(tmp_path / "2")
-    assert untimed(tmp_path / "1") == untimed(tmp_path / "2")
-
-
-@pytest.mark.slow
-def test_all_backends_give_the_same_bytes_again(tmp_path):
-    write_stl(sphere(12.0, 24, 48), tmp_path / "ball.stl")
-    for threads in ("1", "2"):
-        done = ebamcheck("run", "ball.stl", "-o", threads, cwd=tmp_path, EBAMCHECK_THREADS=threads)
         assert done.returncode == 0, done.stdout + done.stderr
     assert contents(tmp_path / "1") == contents(tmp_path / "2")
     assert untimed(tmp_path / "1") == untimed(tmp_path / "2")
@@ -255,45 +243,3 @@ def test_a_check_slices_and_compares_and_makes_no_program(tmp_path, tmp_path_fac
     assert "✔ AGREED" in page
     assert "program/" not in page
     assert all(check.passed for check in verify_run(tmp_path / "check.run", path))
-
-
-@pytest.mark.slow
-def test_the_size_of_blocks_changes_nothing(tmp_path):
-    """1000 points a block, the least there is, are some forty layers of this part."""
-    path = write_stl(sphere(10.0, 24), tmp_path / "a.stl")
-    settings = SETTINGS.changed(layers={"layer_height_mm": 0.1})
-    folders = []
-    for points in (1_000, 4_000_000):
-        result = check_job(
-            path, tmp_path / f"{points}.run", settings.changed(slicing={"block_points": points})
-        )
-        folders.append(result.folder.path)
-    with LayerFile(folders[0] / "layers" / "planecut.parquet") as file:
-        assert len(file) == 200
-        assert len(file.borders) > 5
-    for name in ("layers.csv", "compare.csv"):
-        assert (folders[0] / name).read_bytes() == (folders[1] / name).read_bytes()
-    small, large = (untimed(folder) for folder in folders)
-    assert small["comparison"] == large["comparison"]
-    assert small["backends"] == large["backends"]
-
-
-@pytest.mark.slow
-def test_witnesses_join_where_they_are_asked_for(tmp_path, tmp_path_factory):
-    path = write_stl(frame(), tmp_path / "a.stl")
-    alone = RunFolder(plate_of_two_layers(tmp_path_factory))
-    both = check_job(path, tmp_path / "b.run", SETTINGS.changed(slicing={"witnesses": ("trimesh",)}))
-    assert set(alone.manifest()["backends"]) == {"planecut", "manifold"}
-    assert set(both.manifest["backends"]) == {"planecut", "manifold", "trimesh"}
-    assert both.exit_code == ExitCode.PASS
-    assert len(both.manifest["comparison"]["pairs"]) == 3
-
-
-def test_tables_of_a_run_have_one_compression(tmp_path_factory):
-    tables = sorted(plate_of_two_layers(tmp_path_factory).rglob("*.parquet"))
-    assert len(tables) > 6
-    found = {}
-    for path in tables:
-        group = pq.ParquetFile(path).metadata.row_group(0)
-        found[path.name] = {group.column(k).compression for k in range(group.num_columns)}
-    assert {name: kinds for name, kinds in found.items() if kinds != {"LZ4"}} == {}

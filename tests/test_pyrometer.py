@@ -2,35 +2,18 @@
 
 from __future__ import annotations
 
-import json
-import shutil
-
 import numpy as np
 import pytest
-from command_line import FAST, ebamcheck, write_stl
-from parts import box
+from live_boxes import made_again
 
 from ebamcheck.live.before import Before, check_warmth, corrected
-from ebamcheck.live.building import Building, answer_to
+from ebamcheck.live.building import Building
 from ebamcheck.live.height_map import Refused, Warmth, warmth_of
-from ebamcheck.live.making import LayerMaker, Wanted
-from ebamcheck.live.publishing import LAYERS, read_journal
-from ebamcheck.live.relaying import finished_run
+from ebamcheck.live.making import Wanted
+from ebamcheck.live.publishing import read_journal
 from ebamcheck.settings.config import Config
 
 SIZE = (30, 24, 5.2)
-
-
-@pytest.fixture(scope="module")
-def maker(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("pyrometer")
-    write_stl(box(upper=SIZE), folder / "box.stl")
-    height = ("--layer-height", SIZE[2] / 3)
-    done = ebamcheck("run", "box.stl", "-o", "box.run", "--backends", FAST, *height, cwd=folder)
-    assert done.returncode == 0, done.stdout + done.stderr
-    found = finished_run(folder / "box.run")
-    with LayerMaker(found.part, found.config, found.primary) as made:
-        yield made
 
 
 @pytest.fixture(scope="module")
@@ -93,14 +76,10 @@ def test_what_is_no_temperature_is_said(value):
     assert "give a finite number of seconds" in refusal(warmth_of, {"surface_k": 700.0})
 
 
-def test_none_is_none():
+def test_a_reading_without_a_temperature_has_none():
     assert warmth_of({}) is None
     assert warmth_of({"surface_k": None}) is None
     assert warmth_of({"surface_k": 700, "after_s": 3}) == Warmth(700.0, 3.0)
-
-
-def ask(building, **message):
-    return answer_to(building, json.dumps(message).encode())
 
 
 def test_the_wait_follows_the_temperature_and_the_journal_says_why(maker, heat, tmp_path):
@@ -108,13 +87,16 @@ def test_the_wait_follows_the_temperature_and_the_journal_says_why(maker, heat, 
     for name, off_k in (("colder", -60.0), ("as worked out", None), ("warmer", 60.0)):
         building = Building(maker, tmp_path / name)
         try:
-            first = ask(building, event="start")
+            first = building.start()
             height = {"event": "height", "done": 1, "height_mm": first["thickness_mm"]}
             warm = building.before.rested(8.0).surface_k
-            assert ask(building, **height, surface_k="hot", after_s=8.0)["code"] == "temperature"
-            assert ask(building, **height, surface_k=warm + 400.0, after_s=8.0)["code"] == "temperature"
+            assert building.height({**height, "surface_k": "hot", "after_s": 8.0})["code"] == "temperature"
+            assert (
+                building.height({**height, "surface_k": warm + 400.0, "after_s": 8.0})["code"]
+                == "temperature"
+            )
             read = {} if off_k is None else {"surface_k": warm + off_k, "after_s": 8.0}
-            answer = ask(building, **height, **read)
+            answer = building.height({**height, **read})
             assert answer["answer"] == "published", answer
             waits[name], told[name] = answer["wait_s"], answer
         finally:
@@ -126,12 +108,4 @@ def test_the_wait_follows_the_temperature_and_the_journal_says_why(maker, heat, 
     assert [e["surface_k"] for e in entries if "surface_k" in e] == [
         pytest.approx(told["warmer"]["temperature"]["measured_k"])
     ]
-    # The journal makes the same bytes again.
-    (tmp_path / "again").mkdir()
-    shutil.copy(tmp_path / "warmer" / "journal.jsonl", tmp_path / "again")
-    Building(maker, tmp_path / "again").close()
-    name = told["warmer"]["name"]
-    for path in (tmp_path / "warmer" / LAYERS / name).rglob("*"):
-        if path.is_file():
-            made = tmp_path / "again" / LAYERS / name / path.relative_to(tmp_path / "warmer" / LAYERS / name)
-            assert made.read_bytes() == path.read_bytes()
+    assert made_again(maker, tmp_path / "warmer", tmp_path / "again")

@@ -26,8 +26,7 @@ from ebamcheck_stencil.crossings import Crossings, Flips, empty_bitmap, flip, fl
 from ebamcheck_stencil.drawn_facets import _is_near_a_centre
 from ebamcheck_stencil.field_of_view import MARGIN_PX, SUBPIXELS, FieldOfView, field_of_view
 from ebamcheck_stencil.marching_squares import contours_of_layers, layers_of
-from ebamcheck_stencil.openings import border, capped
-from ebamcheck_stencil.slicer import inside_rule
+from ebamcheck_stencil.slicer import border, capped, inside_rule
 
 # -- what it says about itself -------------------------------------------------------------------------
 

@@ -12,12 +12,7 @@ import pytest
 from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.json_values import plain, sha256_of_json
 from ebamcheck.record import run_folder as store
-from ebamcheck.record.run_folder import (
-    MANIFEST,
-    RunFolder,
-    finished_run,
-    start_run,
-)
+from ebamcheck.record.run_folder import MANIFEST, RunFolder, finished_run, start_run
 
 
 def finished(target, text="first", finished="2026-11-22T14:15:00Z", force=False):
@@ -57,10 +52,8 @@ def test_a_run_appears_when_it_is_whole(tmp_path):
 def test_a_finished_run_is_never_overwritten(tmp_path):
     target = tmp_path / "b.run"
     before = contents(finished(target).path)
-    with pytest.raises(
-        SettingsError,
-        match=r"finished at 2026-11-22T14:15:00Z: .*-o, or --force.* b\.run\.2026-11-22T141500$",
-    ):
+    said = r"finished at 2026-11-22T14:15:00Z: .*-o, or --force.* b\.run\.2026-11-22T141500$"
+    with pytest.raises(SettingsError, match=said):
         start_run(target, "f", resume=False)
     assert contents(target) == before
     assert names(tmp_path) == ["b.run"]
@@ -83,12 +76,15 @@ def test_with_force_every_former_run_is_kept_under_its_own_date(tmp_path):
     assert text_of(tmp_path / "b.run.1970-01-01T000000") == "third"
 
 
-def test_the_dated_name_never_leads_elsewhere(tmp_path):
+def test_the_dated_name_never_leads_elsewhere_and_a_link_stays_a_link(tmp_path):
     """The time in a record is text like any other."""
     finished(tmp_path / "b.run", finished="../../2026-11-22T14:15:00Z")
     os.utime(tmp_path / "b.run" / MANIFEST, (0, 0))
-    finished(tmp_path / "b.run", "second", force=True)
-    assert names(tmp_path) == ["b.run", "b.run.1970-01-01T000000"]
+    (tmp_path / "link").symlink_to("b.run")
+    finished(tmp_path / "link", "second", force=True)
+    assert names(tmp_path) == ["b.run", "b.run.1970-01-01T000000", "link"]
+    assert (tmp_path / "link").is_symlink()
+    assert text_of(tmp_path / "b.run") == "second"
 
 
 @pytest.mark.parametrize("where", ["before the exchange", "after the exchange"])
@@ -120,14 +116,6 @@ def test_a_run_killed_before_its_last_step_is_finished_by_the_next(tmp_path):
     assert finished_run(target, "f") == RunFolder(target)
 
 
-def test_a_link_to_a_run_stays_a_link(tmp_path):
-    finished(tmp_path / "real.run")
-    (tmp_path / "link").symlink_to("real.run")
-    finished(tmp_path / "link", "second", force=True)
-    assert (tmp_path / "link").is_symlink()
-    assert text_of(tmp_path / "real.run") == "second"
-
-
 def test_what_is_no_run_is_never_replaced(tmp_path):
     (tmp_path / "papers").mkdir()
     (tmp_path / "papers" / "thesis.txt").write_text("ten years")
@@ -141,22 +129,15 @@ def test_what_is_no_run_is_never_replaced(tmp_path):
     assert names(tmp_path) == ["empty", "file", "papers"]
 
 
-def test_two_runs_to_one_place_do_not_mix(tmp_path):
-    first = start_run(tmp_path / "b.run", "f", resume=False)
-    (first.path / "half").write_text("x")
-    with pytest.raises(SettingsError, match=r"another run to this place is under way"):
-        start_run(tmp_path / "b.run", "f", resume=True)
-    assert (first.path / "half").exists()
-    first.release()
-    start_run(tmp_path / "b.run", "f", resume=True).release()
-
-
 @pytest.mark.parametrize(
     ("resume", "fingerprint", "kept"), [(True, "f", True), (True, "g", False), (False, "f", False)]
 )
-def test_only_the_same_run_goes_on(tmp_path, resume, fingerprint, kept):
+def test_only_the_same_run_goes_on_and_two_do_not_mix(tmp_path, resume, fingerprint, kept):
     first = start_run(tmp_path / "b.run", "f", resume=False)
     (first.layers_folder / "planecut.parquet").write_text("x")
+    with pytest.raises(SettingsError, match=r"another run to this place is under way"):
+        start_run(tmp_path / "b.run", "f", resume=True)
+    assert (first.layers_folder / "planecut.parquet").exists()
     first.release()
     second = start_run(tmp_path / "b.run", fingerprint, resume)
     assert (second.layers_folder / "planecut.parquet").exists() is kept
@@ -165,10 +146,9 @@ def test_only_the_same_run_goes_on(tmp_path, resume, fingerprint, kept):
 
 def test_places_that_cannot_be_written_are_told(tmp_path):
     (tmp_path / "file").write_text("x")
-    with pytest.raises(SettingsError, match="cannot be written: Not a directory"):
-        start_run(tmp_path / "file" / "b.run", "f", resume=False)
-    with pytest.raises(SettingsError, match="cannot be written: File name too long"):
-        start_run(tmp_path / ("x" * 300), "f", resume=False)
+    for place, said in (("file/b.run", "Not a directory"), ("x" * 300, "File name too long")):
+        with pytest.raises(SettingsError, match=f"cannot be written: {said}"):
+            start_run(tmp_path / place, "f", resume=False)
 
 
 def test_manifests_that_are_none(tmp_path):

@@ -24,7 +24,8 @@ from benchmarks.curve_parts_meshes import (
 )
 from benchmarks.curve_parts_solids import Bow, Triangles, extruded, frustum, lathe, regular_prism, wedge
 from benchmarks.quadric_decimation import quadric_decimated
-from ebamcheck.curves import METHODS, fit
+from ebamcheck.curves import fit
+from ebamcheck.curves.fitting import ungated
 from ebamcheck.curves.gate import Slack, gated
 from ebamcheck.curves.lifting import FLATTEST_SURFACE, Lifting
 from ebamcheck.curves.oriented_contours import NO_PLANE
@@ -49,9 +50,9 @@ from ebamcheck.surface.exact_forms import (
     TORUS,
     signed_distance,
     signed_distances,
+    told_forms,
 )
 from ebamcheck.surface.exact_surfaces import ExactSurfaces
-from ebamcheck.surface.form_fits import told_forms
 from ebamcheck.surface.offsets import LARGEST_OFFSET
 from ebamcheck.surface.part_surface import surface_of
 from ebamcheck.surface.planes import coordinate_error_mm, plane_tolerance_mm
@@ -380,7 +381,7 @@ def test_a_surface_that_the_turns_of_the_mesh_do_not_bear_out_is_refused() -> No
     fallen = []
     for rows in (surface.exact.rows, wrong):
         lifting = Lifting(surface._replace(exact=surface.exact._replace(rows=rows)))
-        made = METHODS["bounded"](cut, SETTINGS, lifting)
+        made = ungated("bounded", cut, SETTINGS, lifting)
         curves = gated(made, cut, lifting.allowed(cut), Slack(0.022, 0.002))
         assert curves.evidence is not None
         fallen.append((curves.evidence.method > 0).mean())

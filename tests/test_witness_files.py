@@ -22,8 +22,8 @@ from witness_programs import INTERPRETER, PROGRAMS, WITNESSES, named
 from ebamcheck.errors import BackendFailed, BackendMissing
 from ebamcheck.scratch import scratch_folder
 from ebamcheck.testing.solids import simple
-from ebamcheck_cura.gcode import read_paths
-from ebamcheck_prusa.images import archived_images, contours
+from ebamcheck_cura import read_paths
+from ebamcheck_prusa import archived_images, contours
 from ebamcheck_slic3r import slices
 
 # -- programs ------------------------------------------------------------------------------------------

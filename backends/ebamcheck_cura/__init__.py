@@ -6,37 +6,29 @@ It works in whole micrometres and merges vertices within 30 um, so the part is m
 from __future__ import annotations
 
 import os
+import re
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import ClassVar
 
+import numpy as np
+
 from ebamcheck.backend import BackendSettings, CoplanarRule, Probe, labels_of
-from ebamcheck.errors import BackendMissing
+from ebamcheck.errors import BackendFailed, BackendMissing
+from ebamcheck.kernels import Floats
 from ebamcheck.layers.even_odd import INSIDE_RULE, directed_by_nesting
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.stl import write_triangles
 from ebamcheck.scratch import scratch_folder
-from ebamcheck.slicers.outside.lattices import (
-    Lattice,
-    LatticeStack,
-    Placement,
-    Program,
-    ProgramSettings,
-    coordinate_rounding_mm,
-    height_rounding_mm,
-    scale_to,
-)
+from ebamcheck.slicers.outside import lattices
+from ebamcheck.slicers.outside.lattices import Lattice, LatticeStack, Placement, Program, ProgramSettings
 
 PROGRAM = Program(
-    name="CuraEngine",
-    command="CuraEngine",
-    variable="EBAMCHECK_CURAENGINE",
-    package="cura-engine cura",
-    version_arguments=("help",),
-    version_pattern=r"version (\d+\.\d+\S*)",
-)
+    name="CuraEngine", command="CuraEngine", variable="EBAMCHECK_CURAENGINE", package="cura-engine cura",
+    version_arguments=("help",), version_pattern=r"version (\d+\.\d+\S*)",
+)  # fmt: skip
 
 # Environment variable with the folder of Cura's definitions, if it is none of the usual ones
 DEFINITIONS = "EBAMCHECK_CURA_DEFINITIONS"
@@ -80,12 +72,14 @@ class Cura:
     def error_bound_mm(self, part: Part, settings: BackendSettings) -> float:
         """Return the rounding of coordinates to 32 bits and to whole units, and the merging of vertices, mm."""
         units = MERGE_UNITS + OTHER_UNITS
-        return 2.0 * coordinate_rounding_mm(part) + units * UNIT / scale_to(part, WORKING_SIZE)
+        return 2.0 * lattices.coordinate_rounding_mm(part) + units * UNIT / lattices.scale_to(
+            part, WORKING_SIZE
+        )
 
     def height_bound_mm(self, part: Part, settings: BackendSettings) -> float:
         """Return the rounding of heights to 32 bits and to whole units, and the merging of vertices, mm."""
         units = MERGE_UNITS + OTHER_UNITS
-        return height_rounding_mm(part) + units * 8.0 * float(part.size[2]) / TALLEST
+        return lattices.height_rounding_mm(part) + units * 8.0 * float(part.size[2]) / TALLEST
 
     def prepare(self, part: Part, settings: BackendSettings) -> LatticeStack:
         """Look for the program; it runs when heights are known."""
@@ -108,9 +102,7 @@ def definitions() -> Path:
 
 def _cut(part: Part, settings: ProgramSettings, definitions: Path, lattice: Lattice) -> Layers:
     """Run CuraEngine on a part for the planes of a lattice."""
-    from ebamcheck_cura.gcode import read_paths
-
-    placement = Placement(part, lattice, scale_to(part, WORKING_SIZE), 1.0)
+    placement = Placement(part, lattice, lattices.scale_to(part, WORKING_SIZE), 1.0)
     layer_units = 2 ** max(1, (TALLEST // placement.layer_count).bit_length() - 1)
     placement = replace(placement, layer=layer_units * UNIT)
     with scratch_folder() as folder:
@@ -159,3 +151,50 @@ def _arguments(layer: float, folder: Path) -> list[str]:
     }
     chosen = [word for key, value in settings.items() for word in ("-s", f"{key}={value}")]
     return ["slice", "-j", str(folder / PRINTER), *chosen, "-l", "part.stl", "-o", "part.gcode"]
+
+
+# -- Paths in the G-code of the surface mode ---------------------------------------------------------------------
+#
+# A path begins where a travel (``G0``) ends and follows the moves with extrusion (``G1``); a move without X and Y stays in place. A
+# path that returns to its start is a ring; if no travel follows, another path begins there.
+
+END_WORD = b";End of Gcode"
+
+_NUMBER = rb"(-?[\d.]+)"
+_BLOCK = re.compile(
+    rb"^(?:;LAYER:(-?\d+)|G([01]) (?=(?:[^\n]*? )??X" + _NUMBER + rb")(?=(?:[^\n]*? )??Y" + _NUMBER + rb"))",
+    re.M,
+)
+
+
+def read_paths(text: bytes) -> dict[int, list[Floats]]:
+    """Layer as CuraEngine counts to its paths (n, 2) in mm; :class:`BackendFailed` where the text is truncated."""
+    if END_WORD not in text[-200:]:
+        raise BackendFailed("what CuraEngine wrote is cut: its end code is missing")
+    start = text.find(b";LAYER:")
+    blocks = np.array(_BLOCK.findall(text, max(start, 0)) if start >= 0 else [], dtype="S").reshape(-1, 4)
+    if not len(blocks):
+        return {}
+    is_layer, is_move = blocks[:, 0] != b"", blocks[:, 1] == b"1"
+    # Where each block ends: a layer's comment stays at the place of the block before it.
+    places = np.zeros((len(blocks), 2))
+    places[~is_layer] = blocks[~is_layer, 2:].astype(np.float64)
+    latest = np.maximum.accumulate(np.where(is_layer, 0, np.arange(len(blocks))))
+    places = places[latest]
+    # A run of moves begins at the place of a layer's comment or of a travel; each return to that place ends a path.
+    first = np.maximum.accumulate(np.where(is_move, 0, np.arange(len(blocks))))
+    moved = np.flatnonzero(is_move[1:] & (places[1:] != places[:-1]).any(axis=1)) + 1
+    if not moved.size:
+        return {}
+    run_start = places[first[moved]]
+    closes = (places[moved] == run_start).all(axis=1)
+    begins = np.diff(first[moved], prepend=-1) != 0
+    begins[1:] |= closes[:-1]
+    at = np.arange(len(moved)) + np.cumsum(begins)
+    points = np.empty((len(moved) + np.count_nonzero(begins), 2))
+    points[at], points[at[begins] - 1] = places[moved], run_start[begins]
+    layers = blocks[is_layer, 0].astype(np.int64)[np.cumsum(is_layer)[moved[begins]] - 1]
+    found: dict[int, list[Floats]] = {}
+    for layer, path in zip(layers.tolist(), np.split(points, at[begins][1:] - 1), strict=True):
+        found.setdefault(layer, []).append(path)
+    return found

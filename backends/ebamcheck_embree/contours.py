@@ -241,14 +241,7 @@ def links(rows: Knots, columns: Knots, up: Bools, points: Floats) -> tuple[Ints,
 
 @kernel
 def _chain(
-    grid: Grid,
-    after: Ints,
-    cells: Ints,
-    points: Floats,
-    facet: Facets,
-    mesh: Mesh,
-    z: float,
-    corners: bool,
+    grid: Grid, after: Ints, cells: Ints, points: Floats, facet: Facets, mesh: Mesh, z: float, corners: bool
 ) -> tuple[Floats, Ints]:
     """Rings along the links; of knots in a row on one facet the first and the last.
 
@@ -295,8 +288,6 @@ def _shared_corner(mesh: Mesh, f: int, g: int, z: float) -> tuple[float, float]:
             if faces[g, n] == b and faces[g, (n + 1) % 3] == a:
                 low, high = (a, b) if vertices[a, 2] <= z else (b, a)
                 t = (z - vertices[low, 2]) / (vertices[high, 2] - vertices[low, 2])
-                return (
-                    vertices[low, 0] + t * (vertices[high, 0] - vertices[low, 0]),
-                    vertices[low, 1] + t * (vertices[high, 1] - vertices[low, 1]),
-                )
+                x = vertices[low, 0] + t * (vertices[high, 0] - vertices[low, 0])
+                return x, vertices[low, 1] + t * (vertices[high, 1] - vertices[low, 1])
     return np.nan, np.nan

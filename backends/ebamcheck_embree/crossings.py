@@ -126,12 +126,8 @@ def take_crossings(
         if new and sections.starts[facet] <= at < sections.starts[facet + 1]:
             line = lines[r - layer * lines.size]
             # One number at a time: to unpack a row costs more than all the rest.
-            u0, w0, u1, w1 = (
-                segments[at, axis],
-                segments[at, 1 - axis],
-                segments[at, 2 + axis],
-                segments[at, 3 - axis],
-            )
+            u0, w0 = segments[at, axis], segments[at, 1 - axis]
+            u1, w1 = segments[at, 2 + axis], segments[at, 3 - axis]
             k = hits.starts[r] + hits.known[r]
             if w0 <= line < w1 or w1 <= line < w0:
                 # A segment that rises across a row's ray has the material before it.

@@ -15,17 +15,9 @@ from ebamcheck.kernels import Floats, Ints
 from ebamcheck.layers.stack import Layers, canonical, concatenate
 from ebamcheck.mesh.part import Part
 from ebamcheck.threads import run_in_order, thread_count
+from ebamcheck_embree import crossings
 from ebamcheck_embree.contours import RayColumns, rings_of_layer
-from ebamcheck_embree.crossings import (
-    Borders,
-    Sections,
-    borders,
-    fill_short_rays,
-    hits_of_rays,
-    rays_across,
-    sections_at,
-    take_crossings,
-)
+from ebamcheck_embree.crossings import Borders, Sections
 from ebamcheck_embree.grid import Grid
 from ebamcheck_embree.scene import Facets, Mesh, Scene, Singles, Slabs, UnderWay
 
@@ -46,12 +38,8 @@ class InPlaneRays:
         self._rays_per_call = rays_per_call
         self._labels = labels
         self._centre_mm: Floats = part.bounds.mean(axis=0)
-        self._slabs = Slabs(
-            Mesh(
-                np.ascontiguousarray(part.vertices - self._centre_mm),
-                np.ascontiguousarray(part.faces, dtype=np.int32),
-            )
-        )
+        vertices = np.ascontiguousarray(part.vertices - self._centre_mm)
+        self._slabs = Slabs(Mesh(vertices, np.ascontiguousarray(part.faces, dtype=np.int32)))
         # By axis: the coordinates of its rays across it, and where they start, outside the part's box.
         self._lines = (grid.row_y_mm, grid.column_x_mm)
         self._start_mm = (grid.x0_mm - 0.01 * float(part.size[0]), grid.y0_mm - 0.01 * float(part.size[1]))
@@ -106,7 +94,7 @@ class InPlaneRays:
         layer_starts, unpaired = [0], list[int]()
         if len(z_mm):
             mesh, scene = self._slabs[int(self._slabs.of(z_mm[:1])[0])]
-            sections = sections_at(mesh, z_mm)
+            sections = crossings.sections_at(mesh, z_mm)
             rows, columns = (self._borders(scene, z_mm, sections, axis) for axis in (0, 1))
         for layer, z in enumerate(z_mm.tolist()):
             a, b = layer * self.grid.rows, (layer + 1) * self.grid.rows
@@ -131,19 +119,19 @@ class InPlaneRays:
     def _borders(self, scene: Scene, z_mm: Floats, sections: Sections, axis: int) -> Borders:
         """Borders on the rays along an axis of some layers, those of the first layer first."""
         lines = self._lines[axis]
-        begins, ends = rays_across(sections, axis, lines)
-        hits = hits_of_rays(begins, ends, len(z_mm) * len(lines))
+        begins, ends = crossings.rays_across(sections, axis, lines)
+        hits = crossings.hits_of_rays(begins, ends, len(z_mm) * len(lines))
 
         def take(met: Facets, distance: Singles, rays: UnderWay) -> int:
-            return take_crossings(sections, axis, lines, met, distance, rays, hits)
+            return crossings.take_crossings(sections, axis, lines, met, distance, rays, hits)
 
         wanted = np.flatnonzero(np.diff(hits.starts))
         layer, line = np.divmod(wanted, len(lines))
         origins = np.empty((len(wanted), 3), np.float32)
         origins[:, axis], origins[:, 1 - axis], origins[:, 2] = self._start_mm[axis], lines[line], z_mm[layer]
         scene.follow(wanted, origins, axis, take)
-        fill_short_rays(hits, sections, axis, lines, begins, ends)
-        return borders(hits.starts, hits.along, hits.sign, hits.facet)
+        crossings.fill_short_rays(hits, sections, axis, lines, begins, ends)
+        return crossings.borders(hits.starts, hits.along, hits.sign, hits.facet)
 
 
 def _rays(found: Borders, first: int, past: int) -> RayColumns:

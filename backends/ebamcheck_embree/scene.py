@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ebamcheck.kernels import Floats, Ints, kernel
+from ebamcheck.kernels import Floats, Ints, ShortInts, kernel
 
 Singles = NDArray[np.float32]
 Facets = NDArray[np.int32]
@@ -33,7 +33,7 @@ class UnderWay(NamedTuple):
     ray: Ints  # (R,) number of each ray
     origin: Singles  # (R, 3) origin of the next cast; at first outside the part
     last: Facets  # (R,) facet that each ray met last, -1 at first
-    repeats: NDArray[np.int32]  # (R,) how often in a row each ray has met that facet again
+    repeats: ShortInts  # (R,) how often in a row each ray has met that facet again
 
 
 # Called after a cast with the facet (R,) that each ray met, out of range for none, and its distance (R,): it moves the rays that go

@@ -16,20 +16,17 @@ from numpy.typing import NDArray
 
 from ebamcheck.backend import BackendSettings, CoplanarRule, Probe, Progress, installed, labels_of
 from ebamcheck.errors import BackendFailed
-from ebamcheck.kernels import Floats
+from ebamcheck.kernels import Bools, Floats, ShortInts
 from ebamcheck.layers.stack import Layers, canonical, stacked
 from ebamcheck.mesh.part import Part
-from ebamcheck.mesh.topology import direction_balance, edge_groups, split_corners, twins
+from ebamcheck.mesh.topology import components, direction_balance, edge_groups, split_corners, twins
 
 if TYPE_CHECKING:
     from manifold3d import Manifold
 
-# Resolution of a cross-section's coordinates, in working units: manifold3d keeps eight decimals
-CONTOUR_ROUNDING = 1e-8
+CONTOUR_ROUNDING = 1e-8  # resolution of a cross-section's coordinates, in working units: eight decimals
 MERGE_TOLERANCE = 1e-12  # distance within which manifold3d merges vertices, over the largest coordinate
-
-# Layers whose rings are brought into canonical form together: their points stay in the processor's cache
-LAYERS_AT_ONCE = 64
+LAYERS_AT_ONCE = 64  # layers brought into canonical form together: their points stay in the processor's cache
 
 
 class ManifoldSettings(BackendSettings):
@@ -87,7 +84,7 @@ class PreparedManifold:
     def __exit__(self, *_: object) -> None:
         self._manifold = None
 
-    def slice(self, heights: NDArray[np.float64], progress: Progress | None = None) -> Layers:
+    def slice(self, heights: Floats, progress: Progress | None = None) -> Layers:
         """Cut at strictly increasing heights (L,), mm, on one thread: manifold3d holds the interpreter lock."""
         if self._manifold is None:
             raise BackendFailed(f"manifold: part {self.part.name!r} was released: prepare it again")
@@ -141,9 +138,7 @@ def build(part: Part, placement: Placement) -> Manifold:
     return manifold
 
 
-def _with_bodies_apart(
-    vertices: NDArray[np.float64], faces: NDArray[np.int32]
-) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+def _with_bodies_apart(vertices: Floats, faces: ShortInts) -> tuple[Floats, ShortInts]:
     """Give bodies that touch along an edge separate vertices, or manifold3d pairs the four facets there in its own way."""
     groups = edge_groups(faces, len(vertices))
     sizes = np.diff(groups.starts)
@@ -155,7 +150,7 @@ def _with_bodies_apart(
     return vertices[source], corners
 
 
-def _facets_with_three_vertices(faces: NDArray[np.int32]) -> NDArray[np.int32]:
+def _facets_with_three_vertices(faces: ShortInts) -> ShortInts:
     """Leave out facets that repeat a vertex: they have no section, and manifold3d would refuse them."""
     a, b, c = faces.T
     kept = (a != b) & (b != c) & (c != a)
@@ -175,7 +170,7 @@ Keys = NDArray[np.uint64]
 
 
 def doubtful_regions(
-    vertices_mm: Floats, faces: NDArray[np.int32], placement: Placement, manifold: Manifold
+    vertices_mm: Floats, faces: ShortInts, placement: Placement, manifold: Manifold
 ) -> list[dict[str, Any]]:
     """Boxes in the part around the facets that manifold3d changed, as :meth:`ebamcheck.backend.Prepared.slice` declares them."""
     mesh = manifold.to_mesh64()
@@ -219,18 +214,13 @@ def _facet_keys(vertex_keys: Keys, faces: NDArray[Any]) -> Keys:
     return keys
 
 
-def _boxes(triangles: Floats, old: NDArray[np.bool_]) -> list[dict[str, Any]]:
+def _boxes(triangles: Floats, old: Bools) -> list[dict[str, Any]]:
     """Boxes around facets that share corners, from low to high; `old` marks those of the mesh given."""
-    # Few parts get here, only those that the library changed; the import takes longer than most of them.
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
     count = len(triangles)
     _, corner = np.unique(triangles.reshape(-1, 3), axis=0, return_inverse=True)
     facet = np.repeat(np.arange(count), 3)
     nodes = count + int(corner.max()) + 1
-    links = coo_array((np.ones(3 * count), (facet, count + corner.ravel())), shape=(nodes, nodes))
-    group = connected_components(links, directed=False)[1][:count]
+    group = components(nodes, facet, count + corner.ravel())[:count]
     lowest = np.full(nodes, np.inf)
     np.minimum.at(lowest, group, triangles[:, :, 2].min(axis=1))
     order = np.unique(np.stack([lowest[group], group], axis=1), axis=0)[:, 1].astype(np.int64)
@@ -238,21 +228,17 @@ def _boxes(triangles: Floats, old: NDArray[np.bool_]) -> list[dict[str, Any]]:
     place[order] = np.arange(len(order)) * min(len(order), MOST_REGIONS) // len(order)
     region = place[group]
     bounds = _bounds(triangles, group)
-    found: list[dict[str, Any]] = []
+    boxes: list[dict[str, Any]] = []
     for k in np.unique(region):
         here = region == k
         corners = triangles[here].reshape(-1, 3)
         changed = int(max(np.count_nonzero(here & old), np.count_nonzero(here & ~old)))
-        found.append(
-            {
-                "box_mm": [*corners.min(axis=0).tolist(), *corners.max(axis=0).tolist()],
-                "why": f"manifold3d changed {changed} facet{'s' * (changed > 1)} here when it built the solid",
-            }
-        )
+        why = f"manifold3d changed {changed} facet{'s' * (changed > 1)} here when it built the solid"
+        boxes.append({"box_mm": [*corners.min(axis=0).tolist(), *corners.max(axis=0).tolist()], "why": why})
         # A factor for rounding and the ends of the slab.
         if np.isfinite(bounds[here]).all() and bounds[here].max() > 0.0:
-            found[-1]["bound_mm"] = 1.01 * float(bounds[here].max())
-    return found
+            boxes[-1]["bound_mm"] = 1.01 * float(bounds[here].max())
+    return boxes
 
 
 def _bounds(triangles: Floats, group: NDArray[Any]) -> Floats:

@@ -12,9 +12,9 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from ebamcheck.kernels import Bools, Floats, Ints, kernel
+from ebamcheck.kernels import Bools, Floats, Ints, ShortInts, kernel
 from ebamcheck.layers.stack import Layers, canonical
-from ebamcheck.mesh.topology import edge_groups
+from ebamcheck.mesh.topology import components, edge_groups
 from ebamcheck_planecut.overlaps import NESTED_WRONG, kept_rings
 
 Index = NDArray[np.int32]
@@ -128,29 +128,25 @@ def _through_points(
     return nodes[:-1][follows], nodes[1:][follows], of[owner[:-1][follows]]
 
 
-def sheets_of_vertices(faces: NDArray[np.int32], count: int) -> NDArray[np.int32]:
+def sheets_of_vertices(faces: ShortInts, count: int) -> ShortInts:
     """Return the sheet (V,) of each of `count` vertices: that of all facets at it; :data:`SEVERAL` where they differ or lack.
 
     Sheets are facets that hang together across edges at which exactly two of them meet.
     """
     # Few meshes need them, and loading them takes longer than slicing a small part.
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
 
     groups = edge_groups(faces, count)
     two = groups.starts[:-1][np.diff(groups.starts) == 2]
-    a, b = groups.half_edges[two] // 3, groups.half_edges[two + 1] // 3
-    graph = coo_array((np.ones(len(a), np.bool_), (a, b)), shape=(len(faces), len(faces)))
-    _, sheet = connected_components(graph, directed=False)
+    sheet = components(len(faces), groups.half_edges[two] // 3, groups.half_edges[two + 1] // 3)
     tails = faces.reshape(-1)[groups.half_edges]
-    found = sheet[groups.half_edges // 3].astype(np.int32)
+    found = sheet[groups.half_edges // 3]
     result = np.full(count, SEVERAL, np.int32)
     result[tails] = found
     result[tails[result[tails] != found]] = SEVERAL
     return result
 
 
-def unite(layer: Layers, kind: int, reach_mm: float, sheets: NDArray[np.int32]) -> Layers | None:
+def unite(layer: Layers, kind: int, reach_mm: float, sheets: ShortInts) -> Layers | None:
     """Unite the shells of one layer (a stack of length 1) by the rule winding > 0; bodies that touch along a line are one.
 
     Points that the union made have edge -1 and parameter NaN. The result is None if nothing changes. `sheets` are read only where
@@ -194,7 +190,7 @@ def _canonical(
     return again.labelled(dropped=again.dropped + layer.dropped)
 
 
-def _known_edges(points: Floats, layer: Layers) -> tuple[NDArray[np.int32], Floats]:
+def _known_edges(points: Floats, layer: Layers) -> tuple[ShortInts, Floats]:
     """Mesh edges and parameters of the points that the layer already had; -1 and NaN for new ones."""
     assert layer.edge is not None
     assert layer.edge_t is not None

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ebamcheck.geometry.rings import signed_area
-from ebamcheck.kernels import Bools, Floats, Ints, kernel
+from ebamcheck.kernels import Bools, Floats, Ints, ShortInts, kernel
 
 CLEAN, NESTED_WRONG, TOUCHING = 0, 1, 2
 
@@ -28,10 +28,9 @@ class OverlapSearch(NamedTuple):
 
     boxes: Floats  # (2 M, 4) xmin, ymin, xmax, ymax of each node; leaf l is node M + l
     ways: NDArray[np.uint8]  # (2 M,) directions of the segments of each node
-    ring: NDArray[np.int32]  # (2 M,) ring of each node, or `SEVERAL_RINGS`
+    ring: ShortInts  # (2 M,) ring of each node, or `SEVERAL_RINGS`
     first: Ints  # (M + 1,) first segment of each leaf, by the row of its first point; the leaf ends where the next begins
-    # Pairs of nodes waiting to be tested, and whether one follows the other along its ring
-    stack: NDArray[np.int32]
+    stack: ShortInts  # pairs of nodes waiting to be tested, and whether one follows the other along its ring
     # Segments that come this near to each other meet: what rounding may have moved them apart
     reach_mm: float
     outward: Ints  # (R,) +1 for an outer ring, -1 for a hole
@@ -48,20 +47,22 @@ def overlap_search(points: int, reach_mm: float) -> OverlapSearch:
     leaves = 1
     while leaves < points // 3 + points // SEGMENTS_A_LEAF + 1:
         leaves *= 2
-    return OverlapSearch(
+    boxes, ways, ring = (
         np.empty((2 * leaves, 4)),
         np.empty(2 * leaves, np.uint8),
         np.empty(2 * leaves, np.int32),
-        np.empty(leaves + 1, np.int64),
-        np.empty(
-            (512, 3), np.int32
-        ),  # under three pairs wait per level of two nodes, and levels are under 64
-        reach_mm,
+    )
+    first = np.empty(leaves + 1, np.int64)
+    # Under three pairs wait per level of two nodes, and levels are under 64.
+    stack = np.empty((512, 3), np.int32)
+    outward, first_leaf, around = (
         np.empty(points, np.int64),
         np.empty(points, np.int64),
-        np.empty(points),
         np.empty(points, np.int64),
-        np.empty(points, np.bool_),
+    )
+    greatest_x, keep = np.empty(points), np.empty(points, np.bool_)
+    return OverlapSearch(
+        boxes, ways, ring, first, stack, reach_mm, outward, first_leaf, greatest_x, around, keep
     )
 
 

@@ -160,14 +160,9 @@ def _count_lowest(ranked: Index, lowest: Index, start: int, stop: int) -> None:
 
 @kernel
 def _take_lowest(
-    ranked: Index,
-    first: Index,
-    faces: Index,
-    numbers: Index,
-    begins: NDArray[np.uint8],
-    start: int,
+    ranked: Index, first: Index, faces: Index, numbers: Index, begins: NDArray[np.uint8], start: int,
     stop: int,
-) -> None:
+) -> None:  # fmt: skip
     """Put the facets whose lowest vertex, which comes first, is one of ``[start, stop)`` to their places, in their order."""
     fill = first[start:stop].copy()
     for f in range(ranked.shape[0]):
@@ -325,15 +320,9 @@ def _chain(faces: Index, chain: Index, following: Index) -> None:
 
 @kernel
 def _match(
-    vertices: Floats,
-    faces: Index,
-    first: Index,
-    chain: Index,
-    following: Index,
-    twin: Index,
-    start: int,
+    vertices: Floats, faces: Index, first: Index, chain: Index, following: Index, twin: Index, start: int,
     stop: int,
-) -> tuple[bool, bool, bool]:
+) -> tuple[bool, bool, bool]:  # fmt: skip
     """Write the twins at edges whose lower vertex is one of ``[start, stop)``; tells if any is open, mixed or a fan."""
     corners = faces.reshape(-1)
     is_open = mixed = fans = False

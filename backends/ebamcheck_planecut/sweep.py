@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ebamcheck.kernels import Floats, Ints, kernel
+from ebamcheck.kernels import Bools, Floats, Ints, kernel
 from ebamcheck.layers.canonical_form import DROPPED, next_distinct, ring_form
 from ebamcheck_planecut.overlaps import classify_layer, overlap_search
 from ebamcheck_planecut.sorted_mesh import Index, SortedMesh, facets_across, raise_plane
@@ -29,7 +29,7 @@ class Block(NamedTuple):
 
     ring_starts: Ints  # (R + 1,) first row of each ring in the shared columns
     layer_starts: Ints  # (L + 1,) first ring of each layer
-    closed: NDArray[np.bool_]  # (R,) false for an open path
+    closed: Bools  # (R,) false for an open path
     dropped: Ints  # (L,) number of rings without area that were left out
     kinds: NDArray[np.int8]  # (L,) class of each layer by `classify_layer`; all clean if not requested
 
@@ -46,20 +46,14 @@ class Tracks(NamedTuple):
     edge: Index  # (N, 2) the part's numbers of the lower and upper vertex of the edge that is cut
     edge_t: Floats  # (N,) parameter on that edge, 0 at the lower vertex, 1 at the upper
     starts: Ints  # (N + 1,) first row of each ring
-    closed: NDArray[np.bool_]  # (N,) false for an open path
+    closed: Bools  # (N,) false for an open path
 
 
 @kernel
 def cut_block(
-    mesh: SortedMesh,
-    heights: Floats,
-    under: Index,
-    seen: Index,
-    columns: Columns,
-    row: int,
-    classify: bool,
+    mesh: SortedMesh, heights: Floats, under: Index, seen: Index, columns: Columns, row: int, classify: bool,
     reach_mm: float,
-) -> Block:
+) -> Block:  # fmt: skip
     """Cut layers at increasing heights (L,), over `under` (L,) vertices, and write their rings in canonical form from `row` on.
 
     `seen` (F,) has zeros. With `classify`, shells that overlap, or touch within the reach, are looked for.
@@ -67,20 +61,13 @@ def cut_block(
     room = mesh.crossed[under]
     total, most = int(room.sum()), int(room.max())
     active = np.empty(most, np.int32)
-    track = Tracks(
-        np.empty((most, 2)),
-        np.empty((most, 2), np.int32),
-        np.empty(most),
-        np.zeros(most + 1, np.int64),
-        np.empty(most, np.bool_),
-    )
+    points, edge, edge_t = np.empty((most, 2)), np.empty((most, 2), np.int32), np.empty(most)
+    track = Tracks(points, edge, edge_t, np.zeros(most + 1, np.int64), np.empty(most, np.bool_))
     forms, order = np.empty((most, 3), np.int64), np.empty(most, np.int64)
     search = overlap_search(most if classify else 0, reach_mm)
-    ring_starts = np.empty(total + 1, np.int64)
-    closed = np.empty(total, np.bool_)
+    ring_starts, closed = np.empty(total + 1, np.int64), np.empty(total, np.bool_)
     layer_starts = np.zeros(heights.size + 1, np.int64)
-    dropped = np.zeros(heights.size, np.int64)
-    kinds = np.zeros(heights.size, np.int8)
+    dropped, kinds = np.zeros(heights.size, np.int64), np.zeros(heights.size, np.int8)
     ring_starts[0] = row
     count = facets_across(mesh, under[0], active)
     for n in range(heights.size):
@@ -99,13 +86,7 @@ def cut_block(
 
 @kernel
 def _write_layer(
-    track: Tracks,
-    traced: int,
-    forms: Ints,
-    order: Ints,
-    columns: Columns,
-    ring_starts: Ints,
-    closed: NDArray[np.bool_],
+    track: Tracks, traced: int, forms: Ints, order: Ints, columns: Columns, ring_starts: Ints, closed: Bools
 ) -> int:
     """Write the traced rings of one layer in canonical form from row ``ring_starts[0]`` on; returns their number."""
     points = track.points
@@ -186,17 +167,9 @@ def trace_layer(
 # Ten parameters: a tuple of them would be made for every path.
 @kernel
 def _walk(
-    mesh: SortedMesh,
-    h: float,
-    under: int,
-    f: int,
-    forwards: bool,
-    is_ring: bool,
-    seen: Index,
-    mark: int,
-    track: Tracks,
-    first: int,
-) -> int:
+    mesh: SortedMesh, h: float, under: int, f: int, forwards: bool, is_ring: bool, seen: Index, mark: int,
+    track: Tracks, first: int,
+) -> int:  # fmt: skip
     """Follow the section from facet `f`, passed from entry to exit if `forwards`, until it ends or closes; returns the row after
     it."""
     filled = first

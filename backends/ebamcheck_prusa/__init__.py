@@ -6,40 +6,34 @@ In these a pixel is white if material covers half of it; the paths of its G-code
 
 from __future__ import annotations
 
+import io
 import math
+import re
+import zipfile
+import zlib
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import Annotated, ClassVar
 
 import numpy as np
 
 from ebamcheck.backend import BackendSettings, CoplanarRule, Probe, labels_of
 from ebamcheck.errors import BackendFailed, SettingsError
+from ebamcheck.kernels import Bools, Floats
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.stl import write_triangles
 from ebamcheck.scratch import scratch_folder
 from ebamcheck.settings.base import Between
-from ebamcheck.slicers.outside.lattices import (
-    Lattice,
-    LatticeStack,
-    Placement,
-    Program,
-    ProgramSettings,
-    coordinate_rounding_mm,
-    height_rounding_mm,
-    refuse_what_is_mended,
-    scale_to,
-)
+from ebamcheck.slicers.outside import lattices
+from ebamcheck.slicers.outside.lattices import Lattice, LatticeStack, Placement, Program, ProgramSettings
 
 PROGRAM = Program(
-    name="PrusaSlicer",
-    command="prusa-slicer",
-    variable="EBAMCHECK_PRUSA_SLICER",
-    package="prusa-slicer",
-    version_arguments=("--help",),
-    version_pattern=r"PrusaSlicer-(\d+\.\d+\.\d\S*)",
-)
+    name="PrusaSlicer", command="prusa-slicer", variable="EBAMCHECK_PRUSA_SLICER", package="prusa-slicer",
+    version_arguments=("--help",), version_pattern=r"PrusaSlicer-(\d+\.\d+\.\d\S*)",
+)  # fmt: skip
 
 # Larger side of the part as PrusaSlicer gets it, mm: between half of this and this. Its integers of 1e-6 mm have 32 bits
 WORKING_SIZE = 128.0
@@ -81,18 +75,17 @@ class Prusa:
 
     def error_bound_mm(self, part: Part, settings: BackendSettings) -> float:
         """Return 0.87 pixels and the rounding of coordinates to 32 bits, mm."""
-        return CONTOUR_REACH * pixel_mm(
-            part, PrusaSettings.own(settings, self.name)
-        ) + 4.0 * coordinate_rounding_mm(part)
+        pixel = pixel_mm(part, PrusaSettings.own(settings, self.name))
+        return CONTOUR_REACH * pixel + 4.0 * lattices.coordinate_rounding_mm(part)
 
     def height_bound_mm(self, part: Part, settings: BackendSettings) -> float:
         """Return the rounding of heights to 32 bits and to steps of 1e-6 of PrusaSlicer's mm."""
-        return 3.0 * height_rounding_mm(part) + 8.0e-6 * float(part.size[2]) / TALLEST
+        return 3.0 * lattices.height_rounding_mm(part) + 8.0e-6 * float(part.size[2]) / TALLEST
 
     def prepare(self, part: Part, settings: BackendSettings) -> LatticeStack:
         """Look for the program; it runs when heights are known."""
         PROGRAM.path()
-        refuse_what_is_mended(part, PROGRAM.name)
+        lattices.refuse_what_is_mended(part, PROGRAM.name)
         own = PrusaSettings.own(settings, self.name)
         own = own.model_copy(update={"pixel_mm": pixel_mm(part, own)})
         pixels = image_pixels(part, own)
@@ -120,9 +113,7 @@ def image_pixels(part: Part, settings: PrusaSettings) -> tuple[int, int]:
 
 def _cut(part: Part, settings: PrusaSettings, lattice: Lattice) -> Layers:
     """Run PrusaSlicer on a part for the planes of a lattice."""
-    from ebamcheck_prusa.images import archived_images, contours
-
-    scale = scale_to(part, WORKING_SIZE)
+    scale = lattices.scale_to(part, WORKING_SIZE)
     placement = Placement(part, lattice, scale, LENGTH_UNIT)
     layer = math.ldexp(1.0, math.floor(math.log2(TALLEST / placement.layer_count)))
     placement = replace(placement, layer=layer)
@@ -148,14 +139,8 @@ def _cut(part: Part, settings: PrusaSettings, lattice: Lattice) -> Layers:
 
 # Command line; with it the part stays where the file puts it
 ARGUMENTS = (
-    "--datadir=.",
-    "--loglevel=0",
-    "--export-sla",
-    "--load=printer.ini",
-    "--dont-arrange",
-    "--output=part.sl1",
-    "part.stl",
-)
+    "--datadir=.", "--loglevel=0", "--export-sla", "--load=printer.ini", "--dont-arrange", "--output=part.sl1", "part.stl",
+)  # fmt: skip
 
 
 def _printer(layer: float, pixel: float, pixels: tuple[int, int]) -> str:
@@ -190,3 +175,61 @@ pad_enable = 0
 hollowing_enable = 0
 thumbnails =
 """
+
+
+# -- Images of layers in an SL1 archive, a zip file with a grey PNG image for each, 255 where there is material -------
+
+_IMAGE = re.compile(r"\D*(\d+)\.png")
+
+
+def archived_images(path: Path) -> Iterator[tuple[int, Bools]]:
+    """Number of each layer and mask (H, W) of its solid pixels, rows upwards; :class:`BackendFailed` where they cannot be read."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            for name in sorted(archive.namelist()):
+                if match := _IMAGE.fullmatch(name):
+                    yield int(match[1]), solid_pixels(archive.read(name))
+    except (OSError, zipfile.BadZipFile, zlib.error) as error:
+        raise BackendFailed(f"the archive that PrusaSlicer wrote cannot be read: {error}") from None
+
+
+def solid_pixels(png: bytes) -> Bools:
+    """Mask (H, W) of the pixels of an 8-bit grey PNG image that are brighter than half, with rows upwards."""
+    from PIL.PngImagePlugin import PngImageFile
+
+    try:
+        # `Image.open` would refuse images as large as those of a wide part.
+        image = PngImageFile(io.BytesIO(png))
+        pixels = np.asarray(image)
+    except (OSError, SyntaxError, ValueError) as error:
+        raise BackendFailed(f"an image that PrusaSlicer wrote is no PNG file: {error}") from None
+    if image.mode != "L":
+        raise BackendFailed("an image that PrusaSlicer wrote is not grey with 8 bits a pixel")
+    bits: Bools = pixels[::-1] > 127
+    return bits
+
+
+def contours(solid: Bools) -> list[Floats]:
+    """Rings (n, 2), closed, half way between solid and empty pixel centres, solid on the left, in pixels from the image's
+    corner."""
+    from skimage.measure import find_contours
+
+    rows, columns = np.flatnonzero(solid.any(axis=1)), np.flatnonzero(solid.any(axis=0))
+    if not rows.size:
+        return []
+    row, column = int(rows[0]), int(columns[0])
+    # A margin of empty pixels closes every contour.
+    window = np.pad(solid[row : rows[-1] + 1, column : columns[-1] + 1], 1).astype(np.float64)
+    found: list[Floats] = find_contours(  # type: ignore[no-untyped-call]
+        window, 0.5, fully_connected="low", positive_orientation="low"
+    )
+    corner = np.array([column - 0.5, row - 0.5])
+    return [_straight(ring[:, ::-1] + corner) for ring in found]
+
+
+def _straight(ring: Floats) -> Floats:
+    """Leave out the points inside straight runs of a ring of half pixels."""
+    points = ring[:-1]
+    ahead, behind = np.roll(points, -1, axis=0) - points, points - np.roll(points, 1, axis=0)
+    corners = points[ahead[:, 0] * behind[:, 1] != ahead[:, 1] * behind[:, 0]]
+    return np.concatenate([corners, corners[:1]])

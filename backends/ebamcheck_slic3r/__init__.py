@@ -20,27 +20,14 @@ from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.stl import write_triangles
 from ebamcheck.scratch import scratch_folder
-from ebamcheck.slicers.outside.lattices import (
-    Lattice,
-    LatticeStack,
-    Placement,
-    Program,
-    ProgramSettings,
-    coordinate_rounding_mm,
-    height_rounding_mm,
-    refuse_what_is_mended,
-    scale_to,
-)
+from ebamcheck.slicers.outside import lattices
+from ebamcheck.slicers.outside.lattices import Lattice, LatticeStack, Placement, Program, ProgramSettings
 from ebamcheck.threads import thread_count
 
 PROGRAM = Program(
-    name="Slic3r",
-    command="slic3r",
-    variable="EBAMCHECK_SLIC3R",
-    package="slic3r",
-    version_arguments=("--version",),
-    version_pattern=r"(\d+\.\d+\.\d\S*)",
-)
+    name="Slic3r", command="slic3r", variable="EBAMCHECK_SLIC3R", package="slic3r",
+    version_arguments=("--version",), version_pattern=r"(\d+\.\d+\.\d\S*)",
+)  # fmt: skip
 
 # Larger side of the part as Slic3r gets it, mm, or half of it: far below its 64-bit integers of 1e-6 mm, which offsets multiply by 1e5
 WORKING_SIZE = 2.0**20
@@ -73,23 +60,25 @@ class Slic3r:
 
     def error_bound_mm(self, part: Part, settings: BackendSettings) -> float:
         """Return the roundings to 32-bit floats on the way, and what the closing may fill, mm."""
-        return PLANE_ROUNDINGS * coordinate_rounding_mm(part) + 2.0 * CLOSING / scale_to(part, WORKING_SIZE)
+        return PLANE_ROUNDINGS * lattices.coordinate_rounding_mm(part) + 2.0 * CLOSING / lattices.scale_to(
+            part, WORKING_SIZE
+        )
 
     def height_bound_mm(self, part: Part, settings: BackendSettings) -> float:
         """Return the roundings of vertices and planes to 32-bit floats, mm."""
-        return HEIGHT_ROUNDINGS * height_rounding_mm(part)
+        return HEIGHT_ROUNDINGS * lattices.height_rounding_mm(part)
 
     def prepare(self, part: Part, settings: BackendSettings) -> LatticeStack:
         """Check the part; Slic3r itself runs when heights are known."""
         own = ProgramSettings.own(settings, self.name)
         PROGRAM.path()
-        refuse_what_is_mended(part, PROGRAM.name)
+        lattices.refuse_what_is_mended(part, PROGRAM.name)
         return LatticeStack(part, labels_of(part, self.name, own.model_dump()), partial(_cut, part, own))
 
 
 def _cut(part: Part, settings: ProgramSettings, lattice: Lattice) -> Layers:
     """Run Slic3r on a part for the planes of a lattice."""
-    placement = Placement(part, lattice, scale_to(part, WORKING_SIZE), LAYER)
+    placement = Placement(part, lattice, lattices.scale_to(part, WORKING_SIZE), LAYER)
     with scratch_folder() as folder:
         write_triangles(placement.triangles(), folder / "part.stl")
         said = PROGRAM.run(_arguments(), folder, settings.time_limit_s)
@@ -106,18 +95,10 @@ def _cut(part: Part, settings: ProgramSettings, lattice: Lattice) -> Layers:
 def _arguments() -> list[str]:
     """Command line; the nozzle diameter matters only in that it must exceed the layer height."""
     return [
-        "--no-gui",
-        "--datadir=.",
-        "--export-svg",
-        f"--first-layer-height={LAYER}",
-        f"--layer-height={LAYER}",
-        f"--nozzle-diameter={2.0 * LAYER}",
-        "--resolution=0",
-        "--print-center=0,0",
-        f"--threads={thread_count()}",
-        "--output=part.svg",
-        "part.stl",
-    ]
+        "--no-gui", "--datadir=.", "--export-svg", f"--first-layer-height={LAYER}", f"--layer-height={LAYER}",
+        f"--nozzle-diameter={2.0 * LAYER}", "--resolution=0", "--print-center=0,0", f"--threads={thread_count()}",
+        "--output=part.svg", "part.stl",
+    ]  # fmt: skip
 
 
 # Unit of heights in the file, mm: Slic3r wrongly divides them by a million, as if they were its integers

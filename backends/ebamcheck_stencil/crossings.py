@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ebamcheck.kernels import kernel
+from ebamcheck.kernels import Floats, Ints, ShortInts, kernel
 from ebamcheck.mesh.part import Part
 from ebamcheck.threads import run_blocks
 from ebamcheck_stencil.field_of_view import SUBPIXELS, WORD_BITS, FieldOfView
@@ -25,7 +25,7 @@ class Crossings(NamedTuple):
     """Where rays enter and leave the solid, sorted by pixel and then by height."""
 
     pixels: NDArray[np.uint32]  # (E,) `row * stride + column` in the field of view
-    heights: NDArray[np.float64]  # (E,) mm: the pixel changes from empty to solid or back above this height
+    heights: Floats  # (E,) mm: the pixel changes from empty to solid or back above this height
     # Number of rays that do not leave the solid as often as they enter it: the surface is not closed
     unbalanced: int
 
@@ -40,12 +40,7 @@ def join(parts: Sequence[Crossings]) -> Crossings:
 
 
 def crossings_of_fragments(
-    fragments: NDArray[np.uint32],
-    part: Part,
-    lattice: NDArray[np.int32],
-    stride: int,
-    first_row: int,
-    rows: int,
+    fragments: NDArray[np.uint32], part: Part, lattice: ShortInts, stride: int, first_row: int, rows: int
 ) -> list[Crossings]:
     """Resolve the fragments (n, 2: pixel, facet) of some rows of pixels into crossings, block by block."""
     heights = np.empty(len(fragments))
@@ -66,16 +61,9 @@ def crossings_of_fragments(
 
 @kernel
 def _measure(
-    fragments: NDArray[np.uint32],
-    start: int,
-    stop: int,
-    faces: NDArray[np.int32],
-    lattice: NDArray[np.int32],
-    z: NDArray[np.float64],
-    stride: int,
-    heights: NDArray[np.float64],
-    signs: NDArray[np.int8],
-) -> None:
+    fragments: NDArray[np.uint32], start: int, stop: int, faces: ShortInts, lattice: ShortInts, z: Floats,
+    stride: int, heights: Floats, signs: NDArray[np.int8],
+) -> None:  # fmt: skip
     """Height and sign (+1 going in, -1 going out) of fragments ``start .. stop - 1``."""
     for i in range(start, stop):
         pixel = np.int64(fragments[i, 0])
@@ -98,7 +86,7 @@ def _measure(
 @kernel
 def _resolve(
     fragments: NDArray[np.uint32],
-    fragment_heights: NDArray[np.float64],
+    fragment_heights: Floats,
     fragment_signs: NDArray[np.int8],
     start: int,
     stop: int,
@@ -162,7 +150,7 @@ Words = NDArray[np.uint64]
 class Flips(NamedTuple):
     """Pixels that change at each layer: ``pixels[starts[k] : starts[k + 1]]`` at layer `k`."""
 
-    starts: NDArray[np.int64]
+    starts: Ints
     pixels: NDArray[np.uint32]
 
 
@@ -181,7 +169,7 @@ def _bucket(height: float, lowest: float, per_mm: float, buckets: int) -> int:
 
 
 @kernel
-def flips_by_layer(crossings: Crossings, heights: NDArray[np.float64]) -> Flips:
+def flips_by_layer(crossings: Crossings, heights: Floats) -> Flips:
     """Assign crossings to the first layer at or above them, so that it shows z = h + 0; those above the last are left out."""
     # A counting sort by layer; layers are looked up in equal buckets of height.
     pixels = crossings.pixels

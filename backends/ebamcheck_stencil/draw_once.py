@@ -16,13 +16,7 @@ from ebamcheck.errors import BackendFailed
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
 from ebamcheck.threads import block_edges, run_blocks, run_in_order
-from ebamcheck_stencil.crossings import (
-    Crossings,
-    crossings_of_fragments,
-    empty_bitmap,
-    flips_by_layer,
-    join,
-)
+from ebamcheck_stencil.crossings import Crossings, crossings_of_fragments, empty_bitmap, flips_by_layer, join
 from ebamcheck_stencil.field_of_view import SUBPIXELS, WORD_BITS, FieldOfView, Window, windows
 from ebamcheck_stencil.marching_squares import Rings, contours_of_layers, layers_of
 
@@ -115,13 +109,9 @@ class _Drawing:
     """Program and buffers of the draw; they are released with their context."""
 
     def __init__(
-        self,
-        context: moderngl.Context,
-        lattice: NDArray[np.int32],
-        faces: NDArray[np.int32],
-        view: FieldOfView,
-        capacity: int,
-    ) -> None:
+        self, context: moderngl.Context, lattice: NDArray[np.int32], faces: NDArray[np.int32],
+        view: FieldOfView, capacity: int,
+    ) -> None:  # fmt: skip
         self._context = context
         self._view = view
         self._capacity = capacity

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ebamcheck.kernels import kernel
+from ebamcheck.kernels import Floats, Ints, ShortInts, kernel
 from ebamcheck.mesh.part import Part
 from ebamcheck.threads import run_blocks
 from ebamcheck_stencil.field_of_view import SUBPIXELS, FieldOfView
@@ -31,11 +31,11 @@ class DrawnFacets(NamedTuple):
     """Facets in the order in which they are drawn."""
 
     # (F, 3) vertices of each: first the facets that hold a centre, then those that come near one
-    faces: NDArray[np.int32]
+    faces: ShortInts
     holding: Bands
     near: Bands
 
-    def ranges(self, heights: NDArray[np.float64], slack: float) -> list[list[tuple[int, int]]]:
+    def ranges(self, heights: Floats, slack: float) -> list[list[tuple[int, int]]]:
         """First facet and number of each run of facets to be drawn for each height; a height may be off by `slack`."""
         below = self.holding.reaching(heights - slack)
         first, past = self.near.cut(heights + slack), self.near.reaching(heights - slack)
@@ -49,26 +49,26 @@ class DrawnFacets(NamedTuple):
 class Bands(NamedTuple):
     """Consecutive facets, by bands of height from the top."""
 
-    tops: NDArray[np.float64]  # (B,) highest point of each band, falling
-    bottoms: NDArray[np.float64]  # (B,) lowest point of each band and those before it, falling
-    ends: NDArray[np.int64]  # (B + 1,) facets before each band, and all of them
+    tops: Floats  # (B,) highest point of each band, falling
+    bottoms: Floats  # (B,) lowest point of each band and those before it, falling
+    ends: Ints  # (B + 1,) facets before each band, and all of them
 
     @property
     def size(self) -> int:
         """Number of facets."""
         return int(self.ends[-1])
 
-    def reaching(self, heights: NDArray[np.float64]) -> NDArray[np.int64]:
+    def reaching(self, heights: Floats) -> Ints:
         """Number of facets that hold all which reach to or above each height."""
         return self.ends[np.searchsorted(-self.tops, -heights, side="right")]
 
-    def cut(self, heights: NDArray[np.float64]) -> NDArray[np.int64]:
+    def cut(self, heights: Floats) -> Ints:
         """Number of facets before the first that reaches to or below each height."""
         return self.ends[np.searchsorted(-self.bottoms, -heights, side="left")]
 
 
 def drawn_facets(
-    part: Part, lattice: NDArray[np.int32], heights: NDArray[np.float32], view: FieldOfView
+    part: Part, lattice: ShortInts, heights: NDArray[np.float32], view: FieldOfView
 ) -> DrawnFacets:
     """Choose and order the facets of a part whose vertices lie at `lattice` (N, 2) and `heights` (N,)."""
     slack = math.ceil(CLIPPED_SLACK + ROUNDED_SHARE * view.viewport_px * SUBPIXELS)
@@ -84,7 +84,7 @@ def drawn_facets(
     return DrawnFacets(part.faces[np.concatenate([order, near_order])], holding, near)
 
 
-def _banded(chosen: NDArray[np.int64], extents: NDArray[np.float32]) -> tuple[NDArray[np.int64], Bands]:
+def _banded(chosen: Ints, extents: NDArray[np.float32]) -> tuple[Ints, Bands]:
     """Order facets by bands of height."""
     if not chosen.size:
         return chosen, Bands(np.empty(0), np.empty(0), np.zeros(1, np.int64))
@@ -103,15 +103,9 @@ def _banded(chosen: NDArray[np.int64], extents: NDArray[np.float32]) -> tuple[ND
 
 @kernel
 def _choose(
-    lattice: NDArray[np.int32],
-    heights: NDArray[np.float32],
-    faces: NDArray[np.int32],
-    slack: int,
-    start: int,
-    stop: int,
-    reach: NDArray[np.uint8],
-    extents: NDArray[np.float32],
-) -> None:
+    lattice: ShortInts, heights: NDArray[np.float32], faces: ShortInts, slack: int, start: int, stop: int,
+    reach: NDArray[np.uint8], extents: NDArray[np.float32],
+) -> None:  # fmt: skip
     """Tell of facets ``start .. stop - 1`` whether they hold a pixel centre or come within `slack` lattice steps of one, and their
     heights."""
     for i in range(start, stop):
@@ -124,7 +118,7 @@ def _choose(
 
 
 @kernel
-def _is_near_a_centre(lattice: NDArray[np.int32], a: int, b: int, c: int, slack: int) -> bool:
+def _is_near_a_centre(lattice: ShortInts, a: int, b: int, c: int, slack: int) -> bool:
     """Whether a pixel centre lies in a facet grown by a square of `slack` to each side (a Minkowski sum)."""
     ax, ay = int(lattice[a, 0]), int(lattice[a, 1])
     bx, by = int(lattice[b, 0]), int(lattice[b, 1])

@@ -60,13 +60,9 @@ class LiteralSlices:
     """A part on the graphics device, cut by one draw per layer."""
 
     def __init__(
-        self,
-        context: moderngl.Context,
-        part: Part,
-        view: FieldOfView,
-        largest_px: int,
+        self, context: moderngl.Context, part: Part, view: FieldOfView, largest_px: int,
         labels: dict[str, Any],
-    ) -> None:
+    ) -> None:  # fmt: skip
         self._context = context
         self._view = view
         self._labels = labels

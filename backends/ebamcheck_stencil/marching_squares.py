@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ebamcheck.kernels import kernel
+from ebamcheck.kernels import Floats, Ints, ShortInts, kernel
 from ebamcheck.layers.stack import Layers, canonical
 from ebamcheck.threads import run_blocks
 from ebamcheck_stencil.crossings import Flips, Words, flip
@@ -37,10 +37,10 @@ _RIGHT_Y = np.array([-1, 0, 1, 0])
 class Rings(NamedTuple):
     """Rings of a block of layers, as marching squares finds them."""
 
-    points: NDArray[np.int32]  # (N, 2) half pixels from the centre of pixel (0, 0)
-    starts: NDArray[np.int64]  # (R + 1,) first point of each ring
-    least: NDArray[np.int64]  # (R,) row of each ring's lexicographically least point
-    counts: NDArray[np.int64]  # (L,) rings of each layer
+    points: ShortInts  # (N, 2) half pixels from the centre of pixel (0, 0)
+    starts: Ints  # (R + 1,) first point of each ring
+    least: Ints  # (R,) row of each ring's lexicographically least point
+    counts: Ints  # (L,) rings of each layer
 
 
 @kernel
@@ -80,16 +80,9 @@ def contours_of_layers(
 
 @kernel
 def _add_rings(
-    bitmap: Words,
-    marks: Words,
-    busy: Words,
-    left: Words,
-    row_words: int,
-    points: NDArray[np.int32],
-    ends: NDArray[np.int64],
-    rings: int,
-    layers: int,
-) -> tuple[NDArray[np.int32], NDArray[np.int64], int]:
+    bitmap: Words, marks: Words, busy: Words, left: Words, row_words: int, points: ShortInts, ends: Ints,
+    rings: int, layers: int,
+) -> tuple[ShortInts, Ints, int]:  # fmt: skip
     """Append the rings of a bitmap to the columns, which grow by what the `layers` to come need if they are like this one.
 
     `busy` has a bit for each word of `marks` that may have some; `left`, 0 before and after, is for marks that no ring has passed.
@@ -116,7 +109,7 @@ def _add_rings(
 
 
 @kernel
-def _least_points(points: NDArray[np.int32], starts: NDArray[np.int64]) -> NDArray[np.int64]:
+def _least_points(points: ShortInts, starts: Ints) -> Ints:
     """Row of the lexicographically least point of each ring."""
     least = np.empty(starts.size - 1, np.int64)
     for r in range(least.size):
@@ -189,9 +182,7 @@ def _lowest_bit(word: np.uint64) -> int:
 
 
 @kernel
-def _walk(
-    bitmap: Words, marks: Words, word: int, row_words: int, points: NDArray[np.int32], size: int
-) -> int:
+def _walk(bitmap: Words, marks: Words, word: int, row_words: int, points: ShortInts, size: int) -> int:
     """Walk the ring through the first mark of a word, clear its marks and append its corners; the new size."""
     y = word // row_words
     x = (word - y * row_words) * 64 + _lowest_bit(marks[word])
@@ -240,9 +231,7 @@ def _walk(
 LEAST_PIXEL = 2.0**-40
 
 
-def layers_of(
-    heights: NDArray[np.float64], found: Sequence[Rings], view: FieldOfView, labels: dict[str, Any]
-) -> Layers:
+def layers_of(heights: Floats, found: Sequence[Rings], view: FieldOfView, labels: dict[str, Any]) -> Layers:
     """Make layers at heights (L,) of the rings of their blocks, in canonical form.
 
     No point is passed twice, and every ring encloses a pixel, so the form is a matter of order alone: by layer, and there by least
@@ -273,16 +262,9 @@ def layers_of(
 
 @kernel
 def _place(
-    half_pixels: NDArray[np.int32],
-    starts: NDArray[np.int64],
-    least: NDArray[np.int64],
-    order: NDArray[np.int64],
-    new_starts: NDArray[np.int64],
-    low_mm: NDArray[np.float64],
-    shift_px: NDArray[np.float64],
-    pixel_mm: float,
-    points: NDArray[np.float64],
-) -> None:
+    half_pixels: ShortInts, starts: Ints, least: Ints, order: Ints, new_starts: Ints, low_mm: Floats,
+    shift_px: Floats, pixel_mm: float, points: Floats,
+) -> None:  # fmt: skip
     """Write the rings of a block in their order, each from its least point on, in mm as :meth:`FieldOfView.to_mm` gives them."""
     for n in range(order.size):
         r = order[n]

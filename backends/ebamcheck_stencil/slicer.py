@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+from dataclasses import replace
 from importlib.metadata import version
 from typing import Annotated, ClassVar, Literal
 
@@ -11,8 +12,9 @@ import numpy as np
 
 from ebamcheck.backend import BackendSettings, CoplanarRule, Prepared, Probe, labels_of
 from ebamcheck.errors import BackendMissing, SettingsError
+from ebamcheck.kernels import ShortInts
 from ebamcheck.mesh.part import Part
-from ebamcheck.mesh.topology import weld
+from ebamcheck.mesh.topology import components, direction_balance, edge_groups, weld
 from ebamcheck.settings.base import Between
 from ebamcheck_stencil import opengl
 from ebamcheck_stencil.field_of_view import SUBPIXELS, WORD_BITS, FieldOfView, field_of_view
@@ -108,7 +110,6 @@ class Stencil:
         Where rays meet an open surface, the draw-once form caps its openings and draws again.
         """
         from ebamcheck_stencil.draw_once import DrawnOnce, draw_crossings
-        from ebamcheck_stencil.openings import capped
 
         checked = StencilSettings.own(settings, self.name)
         view = field_of_view(part, checked.pixel_mm)
@@ -146,8 +147,6 @@ class Stencil:
 
 def _warn_of_openings(part: Part) -> None:
     """Warn that the literal mode counts wrong where a ray passes a hole: like the paper's method it caps none."""
-    from ebamcheck_stencil.openings import border
-
     # A part made from arrays may be unwelded.
     edges = len(border(part.faces)) and len(border(weld(part.triangles)[1]))
     if edges:
@@ -175,3 +174,51 @@ def _check_size(view: FieldOfView, found: opengl.Device, mode: str) -> None:
             f"viewport of {found.renderer}, {found.viewport_px}: give at least "
             f"{view.pixel_mm * larger / (found.viewport_px - WORD_BITS):.3g}"
         )
+
+
+# -- Openings of a surface, and caps that close them -------------------------------------------------------------
+#
+# A fan of facets from the middle of each opening's border balances every ray. A cap stays within the heights of its border, so a
+# layer that cuts no opening is that of the closed surface. A flipped facet is an opening whose border runs twice along it.
+
+
+def border(faces: ShortInts) -> ShortInts:
+    """Directed edges (n, 2) that facets (F, 3) use more often in this direction than in the other, once per excess use."""
+    groups = edge_groups(faces, int(faces.max(initial=-1)) + 1)
+    surplus = direction_balance(faces, groups)
+    first = groups.half_edges[groups.starts[:-1]]
+    corners = faces.ravel()
+    after = corners[np.where(first % 3 == 2, first - 2, first + 1)]
+    edges = np.sort(np.column_stack([corners[first], after]), axis=1)
+    edges[surplus < 0] = edges[surplus < 0, ::-1]
+    return np.repeat(edges, np.abs(surplus), axis=0)
+
+
+def capped(part: Part) -> Part:
+    """Close every opening of a part by a fan from the mean of the points of its border."""
+    # A part made from arrays may be unwelded: then every facet would be an opening.
+    vertices, welded = np.unique(part.vertices + 0.0, axis=0, return_inverse=True)
+    part = replace(part, vertices=vertices, faces=welded.reshape(-1)[part.faces].astype(np.int32))
+    edges = border(part.faces)
+    if not len(edges):
+        return part
+    used, local = np.unique(edges, return_inverse=True)
+    local = local.reshape(-1, 2)
+    opening = components(len(used), *local.T)
+    sizes = np.bincount(opening)
+    points = part.vertices[used]
+    reference = points[0]
+    middles = np.column_stack([np.bincount(opening, column) / sizes for column in (points - reference).T])
+    # Rounding must not move a middle outside the heights of its border.
+    lowest, highest = np.full(sizes.size, np.inf), np.full(sizes.size, -np.inf)
+    np.minimum.at(lowest, opening, points[:, 2])
+    np.maximum.at(highest, opening, points[:, 2])
+    middles += reference
+    middles[:, 2] = np.clip(middles[:, 2], lowest, highest)
+    apex = len(part.vertices) + opening[local[:, 0]]
+    caps = np.column_stack([edges[:, 1], edges[:, 0], apex])
+    return replace(
+        part,
+        vertices=np.vstack([part.vertices, middles]),
+        faces=np.vstack([part.faces, caps]).astype(np.int32),
+    )

@@ -123,9 +123,8 @@ class StencilTarget:
         gl.glClear(gl.GL_STENCIL_BUFFER_BIT)
         self._before.bind_to_storage_buffer(1)
         gl.glBindBuffer(gl.GL_COPY_WRITE_BUFFER, self._before.glo)
-        gl.glClearBufferData(
-            gl.GL_COPY_WRITE_BUFFER, gl.GL_R32UI, gl.GL_RED_INTEGER, gl.GL_UNSIGNED_INT, None
-        )
+        words = gl.GL_R32UI, gl.GL_RED_INTEGER, gl.GL_UNSIGNED_INT
+        gl.glClearBufferData(gl.GL_COPY_WRITE_BUFFER, *words, None)
         self._context.memory_barrier()
 
     def draw(

@@ -7,14 +7,13 @@ from importlib.metadata import PackageNotFoundError, version
 from typing import Any, ClassVar, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ebamcheck.backend import BackendSettings, CoplanarRule, Probe, Progress, labels_of
 from ebamcheck.errors import BackendFailed
 from ebamcheck.geometry.rings import EPSILON
-from ebamcheck.kernels import Floats
+from ebamcheck.kernels import Bools, Floats
 from ebamcheck.layers.even_odd import INSIDE_RULE, directed_by_nesting
-from ebamcheck.layers.stack import Layers, canonical
+from ebamcheck.layers.stack import Layers, from_paths
 from ebamcheck.mesh.part import Part
 
 # Distance within which trimesh merges vertices, and takes a vertex as on the plane (`tol.merge`), in working units
@@ -90,41 +89,29 @@ class PreparedSections:
     def __exit__(self, *_: object) -> None:
         self._mesh = None
 
-    def slice(self, heights: NDArray[np.float64], progress: Progress | None = None) -> Layers:
+    def slice(self, heights: Floats, progress: Progress | None = None) -> Layers:
         """Cut at strictly increasing heights (L,), mm; one thread."""
         if self._mesh is None:
             raise BackendFailed(f"trimesh: part {self.part.name!r} was released: prepare it again")
         least, greatest = self.part.bounds[:, 2]
         within = (least < heights) & (heights < greatest)
-        rings: list[Floats] = []
-        closed: list[bool] = []
-        starts = np.zeros(heights.size + 1, np.int64)
+        paths: list[list[tuple[Floats, bool]]] = []
         for first in range(0, heights.size, BLOCK):
-            block = np.arange(first, min(first + BLOCK, heights.size))
-            for k, path in zip(block, self._paths(heights[block], within[block]), strict=True):
-                for points in path:
-                    closed.append(bool((points[0] == points[-1]).all()))
-                    rings.append(points)
-                starts[k + 1] = len(rings)
+            block = slice(first, min(first + BLOCK, heights.size))
+            paths += self._paths(heights[block], within[block])
             if progress is not None:
-                progress(block.size)
-        raw = canonical(
-            heights,
-            np.concatenate(rings) if rings else np.zeros((0, 2)),
-            np.concatenate([[0], np.cumsum([len(ring) for ring in rings], dtype=np.int64)]),
-            starts,
-            np.array(closed, np.bool_),
-            **labels_of(self.part, TrimeshSections.name, self._settings.model_dump()),
-        )
+                progress(block.stop - first)
+        labels = labels_of(self.part, TrimeshSections.name, self._settings.model_dump())
+        raw = from_paths(heights, paths, **labels)
         bound_mm = TrimeshSections().error_bound_mm(self.part, self._settings)
         _refuse_touching(raw, bound_mm)
         return directed_by_nesting(raw, bound_mm, TrimeshSections.name)
 
-    def _paths(self, heights: Floats, within: NDArray[np.bool_]) -> list[list[Floats]]:
-        """Paths of each layer, mm; a closed one repeats its first point at the end."""
-        found: list[list[Floats]] = [[] for _ in range(heights.size)]
+    def _paths(self, heights: Floats, within: Bools) -> list[list[tuple[Floats, bool]]]:
+        """Paths of each layer, mm, and whether each is closed: such a one repeats its first point at the end."""
+        paths: list[list[tuple[Floats, bool]]] = [[] for _ in range(heights.size)]
         if not within.any():
-            return found
+            return paths
         planes = (heights[within] - self._corner_mm[2]) * self._scale
         sections = self._mesh.section_multiplane([0.0, 0.0, 0.0], [0.0, 0.0, 1.0], planes)
         for k, section in zip(np.flatnonzero(within), sections, strict=True):
@@ -134,8 +121,9 @@ class PreparedSections:
             loose = [section.entities[e].discrete(section.vertices) for e in section.dangling]
             for points in [*section.discrete, *loose]:
                 placed = np.asarray(points, np.float64) @ matrix[:2, :2].T + matrix[:2, 3]
-                found[k].append(placed / self._scale + self._corner_mm[:2])
-        return found
+                placed = placed / self._scale + self._corner_mm[:2]
+                paths[k].append((placed, bool((placed[0] == placed[-1]).all())))
+        return paths
 
 
 def _refuse_touching(layers: Layers, reach_mm: float) -> None:
@@ -144,13 +132,9 @@ def _refuse_touching(layers: Layers, reach_mm: float) -> None:
     import shapely
 
     for k in range(len(layers)):
-        paths = np.array(
-            [
-                (shapely.LinearRing if layers.closed[r] else shapely.LineString)(layers.ring(r))
-                for r in layers.rings_of(k)
-            ],
-            dtype=object,
-        )
+        lines = (shapely.LineString, shapely.LinearRing)
+        made = [lines[int(layers.closed[r])](layers.ring(r)) for r in layers.rings_of(k)]
+        paths = np.array(made, dtype=object)
         first, second = shapely.STRtree(paths).query(paths, predicate="dwithin", distance=reach_mm)
         one, other = (paths[rows[first < second]] for rows in (first, second))
         along = shapely.length(shapely.intersection(shapely.buffer(one, 2.0 * reach_mm), other))

@@ -29,6 +29,16 @@ COMMANDS = "ebamcheck.commands"  # entry point group of commands that plugin pac
 MOST_KERNELS = ("verify", "live_command", "relayer_command", "post_command", "fit_command", "regress", "select", "paper")  # fmt: skip
 FEW_KERNELS = ["slice_command", "inspect", "compare", "polar", "preflight_command"]
 
+# Commands in the order of the help; the first five, in this order, are the way from a part to a proven program.
+GROUPS = {
+    "Start here": ("config", "preflight", "run", "view", "verify"),
+    "Make": ("slice", "fit", "scan", "post", "warm"),
+    "Look": ("inspect", "compare", "polar", "report", "backends"),
+    "Prove": ("check", "judge", "key", "sign"),
+    "Test slicers": ("conform", "regress", "select", "paper"),
+    "Machines": ("machine", "live", "relayer"),
+}
+
 
 class CommandGroup(TyperGroup):
     """The house's commands, and those of installed plugin packages, each loaded when it is first asked for."""
@@ -36,17 +46,29 @@ class CommandGroup(TyperGroup):
     _is_listing = False
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
-        """List all commands; those of the house with what their sources say, for which none is loaded."""
+        """List all commands by group; those of the house with what their sources say, for which none is loaded."""
         self._is_listing = True
         try:
-            super().format_commands(ctx, formatter)
+            commands = {name: self.get_command(ctx, name) for name in self.list_commands(ctx)}
         finally:
             self._is_listing = False
+        grouped = {name for names in GROUPS.values() for name in names}
+        longest = max(map(len, commands))
+        for title, names in {**GROUPS, "Plug-ins": commands.keys() - grouped}.items():
+            rows = [
+                (name.ljust(longest), command.get_short_help_str(formatter.width - longest - 6))
+                for name, command in commands.items()
+                if name in names and command is not None
+            ]
+            if rows:
+                with formatter.section(title):
+                    formatter.write_dl(rows)
 
     def list_commands(self, ctx: Any) -> list[str]:
-        """Names of all commands: the house's own first."""
-        own = super().list_commands(ctx)
-        return [*own, *(name for name in sorted(_plugins()) if name not in own)]
+        """Names of all commands: by group, then those of other packages."""
+        known = {*super().list_commands(ctx), *_plugins()}
+        grouped = [name for names in GROUPS.values() for name in names if name in known]
+        return [*grouped, *sorted(known.difference(grouped))]
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """Find the command; where a file stands in its place, the message says what to do with one."""

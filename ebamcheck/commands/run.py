@@ -46,7 +46,10 @@ def run(
     force: bool = False,
     as_json: bool = False,
 ) -> ExitCode:
-    """Look at the part, slice, cross-check, fit, partition, order, write the NC program, verify it and report."""
+    """Make a validated NC program of a part, and a report of it.
+
+    Look at the part, slice, cross-check, fit, partition, order, write the NC program, verify it and report.
+    """
     config = options.job_settings(
         config_file, units, direction, layer_height, backends, witnesses, fix_orientation
     )
@@ -153,7 +156,10 @@ def verify(
     units: str = "",
     as_json: bool = False,
 ) -> ExitCode:
-    """Work every gate of a finished run out again, or check a program against a part, from the program's text."""
+    """Prove a finished run again, or a program by its text alone.
+
+    Work every gate of a finished run out again, or check a program against a part, from the program's text.
+    """
     from ebamcheck.live.verifying import holds_layers
     from ebamcheck.record.certificate import find_record
     from ebamcheck.record.run_folder import MANIFEST
@@ -217,7 +223,9 @@ def preflight_command(
     yes: bool = False,
     as_json: bool = False,
 ) -> ExitCode:
-    """Look at mesh, units, machine, settings and the work to come; exit code 1 where something cannot work.
+    """Look at mesh, units, machine, settings and work before a run.
+
+    Exit code 1 where something cannot work.
 
     Example: ebamcheck preflight blade.stl -c ebamcheck.toml --place 100,50
     """

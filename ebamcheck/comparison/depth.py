@@ -1,10 +1,8 @@
 """How deep the symmetric difference of two regions goes: branch and bound over its trapezoids.
 
-The depth of a point is its distance from the contours that count; the greatest depth over a trapezoid is at
-most the least, over segments, of the greatest distance of its corners from that segment (a convex function
-is greatest at a corner), and at most the same for the mean distance from two segments. The second bound is
-exact where a trapezoid lies astride the middle line between two parallel sides, so such ridges need no
-refinement along their length.
+The depth of a point is its distance from the contours that count. The distance from a fixed segment is convex, so over a trapezoid
+it is greatest at a corner: that bounds the depth for each segment, and so does the mean distance from two segments. The second
+bound is exact on the middle line between two parallel sides, so such ridges need no refinement along their length.
 """
 
 from __future__ import annotations
@@ -21,33 +19,25 @@ from ebamcheck.geometry.rings import stable_order
 from ebamcheck.kernels import Floats, Ints, kernel
 
 FINEST_DEPTH_MM = 1e-6
-# Resolution of depths near the limit, over the limit; never finer than the finest depth. These depths decide the verdict
-FINE_SHARE = 0.01
-COARSE_SHARE = 0.05  # resolution of depths below the limit, over the limit. These depths are only reported
-# Most trapezoids examined in one search; beyond it the upper bound is returned, which errs towards a finding
-MOST_NODES = 400_000
-# Size of the stack of trapezoids in one search; a split adds few, so float64 runs out of halvings first
-STACK = 4096
+FINE_SHARE = 0.01  # resolution of depths that decide the verdict, over the limit; at least the finest depth
+COARSE_SHARE = 0.05  # resolution of depths below the limit, which are only reported, over the limit
+MOST_NODES = 400_000  # most trapezoids examined in one search; beyond it the upper bound is returned, which errs towards a finding
+STACK = 4096  # size of the stack of trapezoids in one search; a split adds few, so float64 runs out of halvings first
 MOST_PARTS = 16  # parts into which a trapezoid is split at once
-
+# Trapezoids thinner than this share of the largest coordinate (1000 roundings) are ignored: there edges coincide, and rounding alone
+# decided their order
 THINNEST_SHARE = 2.0**-42
-"""Trapezoids thinner than this share of the largest coordinate (1000 roundings) are ignored: there edges coincide, and
-rounding alone decided their order."""
-
+# Depth of a trapezoid's middle, over the greatest depth known, from which its corners are examined, too: only near a ridge do they
+# tighten the bound enough to pay
 RIDGE_SHARE = 0.75
-"""Depth of a trapezoid's middle, over the greatest depth known, from which its corners are examined, too: only near a ridge do
-they tighten the bound enough to pay."""
 
 
 class Nearby(NamedTuple):
     """Segments and distances near a trapezoid; :func:`_look` fills the rows."""
 
-    sides: Floats
-    """(6, 4) nearest segments: of the middle, of the four corners, and, in the last row, of the farther contours."""
-    corners: Floats
-    """(6, 4) distances of the four corners from each of them, mm."""
-    guess: Ints
-    """(2,) segment of each region that was found last: the next search starts there."""
+    sides: Floats  # (6, 4) segments nearest to the middle and the four corners and, in the last row, of the farther contours
+    corners: Floats  # (6, 4) distances of the four corners from each of them, mm
+    guess: Ints  # (2,) nearest segment of each region in the last search, from which the next one starts
 
 
 class Deepest(NamedTuple):
@@ -66,10 +56,7 @@ def resolution_mm(limit_mm: float) -> float:
 
 @kernel
 def enough_mm(depth_mm: float, limit_mm: float) -> float:
-    """Upper bound of a depth that need not be looked into, where a depth is known already.
-
-    What cannot pass the limit is resolved coarsely, what might finely.
-    """
+    """Upper bound that needs no search beside a known depth: fine above the limit, coarse below it."""
     finest = depth_mm + resolution_mm(limit_mm)
     return max(finest, min(depth_mm + COARSE_SHARE * limit_mm, limit_mm))
 
@@ -78,11 +65,7 @@ def enough_mm(depth_mm: float, limit_mm: float) -> float:
 def search(
     a: Outline, b: Outline, from_a: bool, from_b: bool, difference: Floats, deepest: Deepest, limit_mm: float
 ) -> Deepest:
-    """Greatest depth over all trapezoids of the symmetric difference, beside one known, to within what :func:`enough_mm` says.
-
-    Depth is measured from the contours of `a`, of `b`, or from the nearer of both; `difference` (T, 8) is that of
-    :class:`ebamcheck.comparison.sweep.Overlap`.
-    """
+    """Greatest depth over the symmetric difference (T, 8), from the contours of `a`, of `b`, or the nearer, as fine as `enough_mm`."""
     suspects = _suspects(a, b, from_a, from_b, difference, enough_mm(deepest.depth_mm, limit_mm))
     stack = np.empty((STACK, 7))
     nearby = Nearby(np.empty((6, 4)), np.empty((6, 4)), np.full(2, -1, np.int64))
@@ -144,11 +127,7 @@ def _suspects(
 def _between_sides(
     a: Outline, b: Outline, from_a: bool, from_b: bool, difference: Floats, t: int, enough: float
 ) -> float:
-    """No point of trapezoid `t` is deeper than this, by its two sides; a first answer within `enough` will do.
-
-    The distance from a fixed segment is convex, so over a trapezoid it is greatest at a corner; and where
-    both sides count, the mean of the two distances bounds the lesser.
-    """
+    """Upper bound of the depth in trapezoid `t` by its two sides, the mean where both count; a first one within `enough` will do."""
     left, right = int(difference[t, LEFT_SEGMENT]), int(difference[t, RIGHT_SEGMENT])
     numbered = len(a.segments)
     left_counts, right_counts = from_a if left < numbered else from_b, from_a if right < numbered else from_b
@@ -215,10 +194,7 @@ def _bound(
 def _look(
     a: Outline, b: Outline, from_a: bool, from_b: bool, x: float, y: float, sides: Floats, guess: Ints, k: int
 ) -> float:
-    """Depth at a point; the segment that is nearest goes to row `k` of `sides`, that of the other contours to the last.
-
-    `guess` holds the segments found last, from which the next search starts.
-    """
+    """Depth at a point; the nearest segment goes to row `k` of `sides`, the one of the other contours to the last row."""
     depth = np.inf
     if from_a:
         square, i = nearest_segment(a.tree, x, y, guess[0])
@@ -258,10 +234,10 @@ def _measure_corners(stack: Floats, at: int, sides: Floats, k: int, corners: Flo
 
 @kernel
 def _split(stack: Floats, at: int, ceiling: float, stretch: float) -> int:
-    """Put the parts of trapezoid `at` in its row and those after it; their number.
+    """Write the parts of trapezoid `at` to its row and the following ones; returns their number.
 
-    It is cut across its longer extent: in two, or along thin slivers into as many parts as are about as
-    long as `stretch`, over which one side can settle the bound.
+    It is cut across its longer extent: in two, or along thin slivers into parts about as long as `stretch`, over which one side
+    can settle the bound.
     """
     y0, y1, l0, l1 = stack[at, 0], stack[at, 1], stack[at, 2], stack[at, 3]
     r0, r1 = stack[at, 4], stack[at, 5]

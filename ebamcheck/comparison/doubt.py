@@ -11,11 +11,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 import shapely
-from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.comparison.pairwise import Pair, compare
-from ebamcheck.comparison.sheets import Reader
-from ebamcheck.comparison.sources import LayerSource
+from ebamcheck.comparison.sources import LayerSource, Reader
 from ebamcheck.kernels import Floats
 from ebamcheck.layers.stack import Layers, from_polygons
 
@@ -26,22 +24,20 @@ DOUBT = "doubt_mm"
 class Doubt(NamedTuple):
     """One place that a slicer declares doubtful."""
 
-    low: Floats
-    """(3,) lower corner of its box, mm; `high` is the upper one."""
+    low: Floats  # (3,) lower corner of its box, mm; `high` is the upper one
     high: Floats
-    bound_mm: float
-    """Largest error of a contour there."""
+    bound_mm: float  # largest error of a contour there
 
 
 def doubts_of(settings: Mapping[str, Any]) -> list[Doubt]:
     """Places that a slicer has declared with a bound; places without one are only named as causes, and change no verdict."""
-    found = []
+    doubts = []
     for place in settings.get("doubtful_regions", ()):
         bound = place.get("bound_mm")
         if isinstance(bound, int | float) and np.isfinite(bound) and bound > 0.0:
             low, high = np.asarray(place["box_mm"], np.float64).reshape(2, 3)
-            found.append(Doubt(low, high, float(bound)))
-    return found
+            doubts.append(Doubt(low, high, float(bound)))
+    return doubts
 
 
 def allow_doubt(
@@ -58,14 +54,13 @@ def allow_doubt(
         allowed = np.zeros(len(rows))
         agrees = rows["agrees"].to_numpy().copy()
         for layer in np.flatnonzero(~agrees & rows["gated"].to_numpy()).tolist():
-            z = float(rows["height_mm"].iloc[layer])
+            z, depth_mm = (float(rows[name].iloc[layer]) for name in ("height_mm", "depth_mm"))
             here = [d for d in doubts if d.low[2] - most_mm <= z <= d.high[2] + most_mm]
-            if not here:
+            added = max((d.bound_mm for d in here), default=0.0)
+            if not here or depth_mm > pair.limit_mm + added:
                 continue
-            added = max(d.bound_mm for d in here)
-            if float(rows["depth_mm"].iloc[layer]) <= pair.limit_mm + added and _agrees_beside(
-                pair, readers[pair.a].layer(layer), readers[pair.b].layer(layer), here, added
-            ):
+            a, b = readers[pair.a].layer(layer), readers[pair.b].layer(layer)
+            if _agrees_beside(pair, a, b, here, added):
                 agrees[layer], allowed[layer] = True, added
         rows["agrees"] = agrees
         rows[DOUBT] = allowed
@@ -73,26 +68,21 @@ def allow_doubt(
 
 def _agrees_beside(pair: Pair, a: Layers, b: Layers, doubts: Sequence[Doubt], added_mm: float) -> bool:
     """Whether a layer agrees within the wider limit everywhere, topology included, and within its own outside the boxes."""
-    if not _agree(pair, a, b, pair.limit_mm + added_mm):
-        return False
-    boxes = shapely.union_all(
-        [shapely.box(*(d.low[:2] - d.bound_mm), *(d.high[:2] + d.bound_mm)) for d in doubts]
-    )
-    cut_a, cut_b = (_beside(layers, boxes) for layers in (a, b))
-    return _agree(pair, cut_a, cut_b, pair.limit_mm)
+    rectangles = [shapely.box(*(d.low[:2] - d.bound_mm), *(d.high[:2] + d.bound_mm)) for d in doubts]
+    boxes = shapely.union_all(rectangles)
 
+    def agree(a: Layers, b: Layers, limit_mm: float) -> bool:
+        table = compare(
+            a, b, tolerance_mm=limit_mm, exact_a=pair.exact_a, exact_b=pair.exact_b, check_part=False
+        )
+        return bool(table["agrees"].all())
 
-def _agree(pair: Pair, a: Layers, b: Layers, limit_mm: float) -> bool:
-    """Whether two layers agree within a limit."""
-    table = compare(a, b, tolerance_mm=limit_mm, exact_a=pair.exact_a, exact_b=pair.exact_b, check_part=False)
-    return bool(table["agrees"].all())
+    def outside(layers: Layers) -> Layers:
+        left = shapely.get_parts(shapely.difference(layers.section(0), boxes))
+        polygons = [part for part in left if part.geom_type == "Polygon" and part.area > 0.0]
+        return from_polygons(layers.heights, [polygons])
 
-
-def _beside(layers: Layers, boxes: BaseGeometry) -> Layers:
-    """The solid of one layer that lies in no box."""
-    left = shapely.difference(layers.section(0), boxes)
-    polygons = [g for g in shapely.get_parts(left) if g.geom_type == "Polygon" and g.area > 0.0]
-    return from_polygons(layers.heights, [polygons])
+    return agree(a, b, pair.limit_mm + added_mm) and agree(outside(a), outside(b), pair.limit_mm)
 
 
 def doubted_layers(pairs: pd.DataFrame) -> Iterator[tuple[str, str, list[int], float, float]]:
@@ -100,7 +90,5 @@ def doubted_layers(pairs: pd.DataFrame) -> Iterator[tuple[str, str, list[int], f
     if DOUBT not in pairs:
         return
     for (a, b), rows in pairs[pairs[DOUBT] > 0.0].groupby(["a", "b"], sort=True):
-        yield (
-            str(a), str(b), [int(k) for k in rows["layer"]],
-            float(rows["depth_mm"].max()), float(rows[DOUBT].max()),
-        )  # fmt: skip
+        most = float(rows["depth_mm"].max()), float(rows[DOUBT].max())
+        yield str(a), str(b), [int(k) for k in rows["layer"]], *most

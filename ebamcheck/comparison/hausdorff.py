@@ -1,7 +1,6 @@
 """Distances between the contours of one layer: directed Hausdorff distance and 95th percentile.
 
-The bounds used here follow from one fact: the distance from a fixed segment is a convex function, so over
-a piece of a contour it is greatest at an end of the piece.
+All bounds follow from one fact: the distance from a fixed segment is convex, so over a piece of a contour it is greatest at an end.
 """
 
 from __future__ import annotations
@@ -17,29 +16,25 @@ from ebamcheck.geometry.rings import EPSILON
 from ebamcheck.kernels import Floats, Ints, kernel
 
 RESOLUTION_MM = 1e-7  # resolution of Hausdorff distances: ten thousand times finer than the default tolerance
-
 PERCENTILE = 0.95
-
 MOST_PASSED = 8  # most vertices examined between the nearest segments at both ends of a piece; more are rare
-# Most pieces refined in one search; a count, not a time, so that results do not depend on the machine
-MOST_PIECES = 200_000
-# Size of the stack of pieces in one search; each halving adds one, so float64 runs out of halvings first
-STACK = 128
+MOST_PIECES = 200_000  # most pieces refined in one search; a count, not a time, so that results do not depend on the machine
+STACK = 128  # size of the stack of pieces in one search; each halving adds one, so float64 runs out of halvings first
 
 
 class Directed(NamedTuple):
     """Distance of one outline's contours from another's."""
 
-    most_mm: float
-    """Directed Hausdorff distance: the greatest distance of a point of the first from the second."""
+    most_mm: (
+        float  # directed Hausdorff distance: the greatest distance of a point of the first from the second
+    )
     x_mm: float
     y_mm: float
-    segment: int
-    """Segment of the first outline on which that point lies; -1 where there is none."""
-    p95_mm: float
-    """Distance that 95 % of the first outline's length does not exceed."""
-    near: Ints
-    """(M,) segment of the second outline nearest to each sample of the first; empty if there is none."""
+    segment: int  # segment of the first outline on which that point lies; -1 where there is none
+    p95_mm: float  # distance that 95 % of the first outline's length does not exceed
+    near: (
+        Ints  # (M,) segment of the second outline nearest to each sample of the first; empty if there is none
+    )
 
 
 @kernel
@@ -89,9 +84,9 @@ def directed(a: Outline, b: Outline) -> Directed:
 def farthest_passed(segments: Floats, i: int, j: int, x0: float, y0: float, x1: float, y1: float) -> float:
     """Greatest distance of the vertices between segments `i` and `j` from a piece; infinite where they are far apart.
 
-    A piece whose ends are near `i` and `j` is nowhere farther from the contour between than this, or than
-    its ends are: link each point of the piece to a point that runs along that contour and is at each vertex
-    when the other is where the piece is nearest to it; between two vertices the length of the link is convex.
+    A piece whose ends are near `i` and `j` is nowhere farther from the contour between than this, or than its ends: link each of its
+    points to one that runs along that contour and passes each vertex when the other is nearest to it; between two vertices the length
+    of the link is convex.
     """
     low, high = min(i, j), max(i, j)
     if high - low > MOST_PASSED:
@@ -116,10 +111,7 @@ def _square_to_piece(x: float, y: float, x0: float, y0: float, x1: float, y1: fl
 
 @kernel
 def _refine(tree: SegmentTree, stack: Floats, near: Ints, most: float) -> tuple[float, float, float]:
-    """Greatest distance on the piece in row 0 of a stack if it is over `most`, by halving, with its place.
-
-    A row holds both ends of a piece and their distances; `near` the segments nearest to them.
-    """
+    """Greatest distance, if over `most`, and its place on a piece, by halving: rows hold both ends and distances, `near` segments."""
     segments = tree.segments
     count = 1
     x, y = np.nan, np.nan
@@ -153,10 +145,9 @@ def _refine(tree: SegmentTree, stack: Floats, near: Ints, most: float) -> tuple[
 
 @kernel
 def _percentile(distances: Floats, lengths: Floats, least: float, most: float) -> float:
-    """Distance below which the given share of the length lies, the distance being linear along a piece.
+    """95th percentile of the distance, which is linear along a piece.
 
-    A bracket, at first from the least to the greatest distance, is halved until the length below a distance in it grows at
-    one rate.
+    A bracket from the least to the greatest distance is halved until the length below a distance in it grows at one rate.
     """
     bottom, top = least, most
     low, high, weight = np.empty(distances.size), np.empty(distances.size), np.empty(distances.size)
@@ -167,14 +158,14 @@ def _percentile(distances: Floats, lengths: Floats, least: float, most: float) -
             weight[count] = lengths[k]
             total, count = total + lengths[k], count + 1
     wanted = PERCENTILE * total
-    # So far apart can sums of the same lengths be that are added in another order; then they are added in one order.
+    # Sums of the same lengths in another order differ by less than this; nearer to what is wanted they are added in one order.
     doubt = 4.0 * EPSILON * distances.size * total
     # Length below the bracket, and its rise with the distance within, of pieces that have no end in it; of the others, how
     # many there are and how much of them is below the middle.
     below, rate, first = 0.0, 0.0, True
     while True:
-        # Pieces without an end in the bracket are dropped; of those that are left, the length below its middle is added up, up
-        # to rounding. Without a branch: where a piece lies is as good as random.
+        # Pieces without an end in the bracket are dropped; of the others the length below its middle is added up, to rounding.
+        # Without a branch: where a piece lies is as good as random.
         more, steeper, half, kept = 0.0, 0.0, 0.0, 0
         middle = 0.5 * (bottom + top)
         for k in range(count):
@@ -187,9 +178,8 @@ def _percentile(distances: Floats, lengths: Floats, least: float, most: float) -
             under = rise * (bottom - start) if across else 0.0
             more += length if is_under else under
             steeper += rise if across else 0.0
-            half += (
-                (length if stop <= middle else rise * (middle - start)) if stays & (start <= middle) else 0.0
-            )
+            lower = length if stop <= middle else rise * (middle - start)
+            half += lower if stays & (start <= middle) else 0.0
             kept += stays
         below, rate, count = below + more, rate + steeper, kept
         if first and below >= wanted:

@@ -29,17 +29,15 @@ class Figures(NamedTuple):
     depth: float
     depth_x: float
     depth_y: float
-    sound: float
-    """0 if the sweep gave up, and the areas must be found in another way; else 1."""
+    sound: float  # 0 if the sweep gave up, and the areas must be found in another way; else 1
 
 
 @kernel
 def measure(a: Outline, b: Outline, limit_mm: float, exact_a: bool, exact_b: bool) -> Figures:
     """Measure two outlines against each other; `limit_mm` sets how finely depth is resolved.
 
-    Depth is the greatest distance of a point of the symmetric difference from the contours of the exact one
-    of the two; from those of the one that has any where the other is empty; from the nearer contour where
-    neither is exact; and the lesser of both depths where both are exact.
+    Depth is the greatest distance of a point of the symmetric difference from the contours of the exact outline; from the only
+    contours where one outline is empty; from the nearer contour where neither is exact; the lesser of both where both are exact.
     """
     ab, ba = directed(a, b), directed(b, a)
     is_a, is_b = a.chains.steps.size > 0, b.chains.steps.size > 0
@@ -79,11 +77,8 @@ def _swept(
 
 @kernel
 def _reached(o: Outline, farthest: Directed, resolution_mm: float) -> Deepest:
-    """Depth that the point of `o` farthest from the other contours proves, if `o` bounds its region there.
-
-    Next to such a point the other region does not change but this one does, so one side of it belongs to
-    the symmetric difference.
-    """
+    """Depth that the point of `o` farthest from the other contours proves, if `o` bounds its region there: one side of it is in one
+    region only."""
     nothing = Deepest(0.0, np.nan, np.nan)
     s = farthest.segment
     if s < 0 or s >= o.paths[o.rings] or not 0.0 < farthest.most_mm < np.inf:
@@ -98,11 +93,9 @@ def _reached(o: Outline, farthest: Directed, resolution_mm: float) -> Deepest:
     sign = towards if ahead else -towards
     x, y = farthest.x_mm + sign * ux, farthest.y_mm + sign * uy
     rings = o.segments[: o.paths[o.rings]]
-    left, right = (
-        winding(rings, x - aside * uy, y + aside * ux),
-        winding(rings, x + aside * uy, y - aside * ux),
-    )
-    return Deepest(farthest.most_mm, farthest.x_mm, farthest.y_mm) if (left > 0) != (right > 0) else nothing
+    left = winding(rings, x - aside * uy, y + aside * ux) > 0
+    right = winding(rings, x + aside * uy, y - aside * ux) > 0
+    return Deepest(farthest.most_mm, farthest.x_mm, farthest.y_mm) if left != right else nothing
 
 
 @kernel
@@ -118,9 +111,8 @@ def _halfway(o: Outline, other: Outline, farthest: Directed, known: Deepest) -> 
     t = ((farthest.x_mm - ax) * ux + (farthest.y_mm - ay) * uy) / square if square > 0.0 else 0.0
     t = min(1.0, max(0.0, t))
     x, y = 0.5 * (farthest.x_mm + ax + t * ux), 0.5 * (farthest.y_mm + ay + t * uy)
-    depth = math.sqrt(
-        min(nearest_segment(o.tree, x, y, farthest.segment)[0], nearest_segment(other.tree, x, y, i)[0])
-    )
+    square = min(nearest_segment(o.tree, x, y, farthest.segment)[0], nearest_segment(other.tree, x, y, i)[0])
+    depth = math.sqrt(square)
     if depth > known.depth_mm:
         in_o = winding(o.segments[: o.paths[o.rings]], x, y) > 0
         if in_o != (winding(other.segments[: other.paths[other.rings]], x, y) > 0):
@@ -130,27 +122,24 @@ def _halfway(o: Outline, other: Outline, farthest: Directed, known: Deepest) -> 
 
 # -- Matching of contours: a cheap upper bound on the depth of the symmetric difference of two regions ---------
 #
-# Let a point run along a ring of one region, linked to the nearest point of the other's contours. Where that
-# point passes a vertex, or jumps ahead to another segment, the link is led along the contour between, vertex
-# by vertex, from the nearest place of the piece just passed. So the first ring is drawn over, along links,
-# onto a closed path on the second's rings. A place that no link passes over has the same winding number about
-# both of these paths; and if the path goes around one ring of the second region once, and every such ring has
-# its partner, then both regions agree there. Hence all of the symmetric difference lies on links: no point of
-# it is farther from the second region's contours than the longest link is long, nor farther than half of that
-# from the nearer contours.
+# Let a point run along a ring of one region, linked to the nearest point of the other's contours. Where that point passes a vertex,
+# or jumps ahead to another segment, the link is led along the contour between, vertex by vertex, from the nearest place of the piece
+# just passed. So the first ring is drawn over, along links, onto a closed path on the second's rings. A place that no link passes
+# over has the same winding number about both of these paths; and if the path goes around one ring of the second region once, and
+# every such ring has its partner, then both regions agree there. Hence all of the symmetric difference lies on links: no point of it
+# is farther from the second region's contours than the longest link, nor farther than half of that from the nearer contours.
 
 
-# Most vertices passed per segment and sample, on average: links that run back and forth prove nothing
-MOST_STEPS = 8
+MOST_STEPS = (
+    8  # most vertices passed per segment and sample, on average: links that run back and forth prove nothing
+)
 
 
 @kernel
 def linked_within(a: Outline, b: Outline, near: Ints, reach_mm: float) -> bool:
-    """Whether links no longer than this draw each ring of `b` onto another ring of `a`.
+    """Whether links no longer than the reach draw each ring of `b`, all of which lies within it, onto another ring of `a`.
 
-    The contour between two links is led along vertex by vertex: none may be farther from the piece than allowed.
-    `near` (M,) is the segment of `a` nearest to each sample of `b`; all samples of `b`, and the contours between them, are known to
-    be within the reach.
+    `near` (M,) is the segment of `a` nearest to each sample of `b`. The contour between two links is led along vertex by vertex.
     """
     if a.rings != b.rings:
         return False

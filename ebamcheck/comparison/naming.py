@@ -1,4 +1,4 @@
-"""Naming of disagreements: each gets its place, its likely cause and a remedy."""
+"""Disagreements of slicers by name: each with its place, its systematic or likely cause, and a remedy."""
 
 from __future__ import annotations
 
@@ -14,168 +14,168 @@ from numpy.typing import NDArray
 
 from ebamcheck.comparison import place_causes as local
 from ebamcheck.comparison import whole_causes as systematic
-from ebamcheck.comparison.diagnosis import Differing, cause_of, diagnose
+from ebamcheck.comparison.fit_causes import ENOUGH, LEAST, contour_causes, other_rule, wrong_unit
 from ebamcheck.comparison.outline import outline
 from ebamcheck.comparison.pairwise import GENERIC
 from ebamcheck.comparison.place_causes import MeshFlaws, Place, declared_doubt, likely_cause
-from ebamcheck.comparison.sheets import Reader
-from ebamcheck.comparison.sources import LayerSource
-from ebamcheck.comparison.whole_causes import Cause
-from ebamcheck.kernels import Floats
+from ebamcheck.comparison.sources import LayerSource, Reader
+from ebamcheck.comparison.whole_causes import Cause, Sheet, layer_causes, ring_causes, sample, total_mm2
+from ebamcheck.kernels import Floats, Ints
 from ebamcheck.mesh.part import Part
 
 Columns = Mapping[str, NDArray[Any]]
-
-
-@dataclass(frozen=True)
-class Told:
-    """A slicer that differs from another on a layer, with the figures of the pair."""
-
-    layer: int
-    backend: str
-    against: str
-    columns: Columns
-    is_second: bool
-    """Whether the slicer that differs is the second one of the pair."""
+Readers = tuple[Reader, Reader]  # of the slicer that differs, and of the other
 
 
 def named_findings(
-    part: Part,
-    stacks: Mapping[str, LayerSource],
-    tables: list[pd.DataFrame],
-    heights: Floats,
-    consensus: list[tuple[int, ...]],
-    verdicts: list[str],
-) -> Iterator[Disagreement]:
+    part: Part, stacks: Mapping[str, LayerSource], tables: list[pd.DataFrame], heights: Floats,
+    consensus: list[tuple[int, ...]], verdicts: list[str],
+) -> Iterator[Disagreement]:  # fmt: skip
     """Every disagreement on the layers on which not all slicers agree, in the order of layers.
 
     `tables` has the figures of each pair of stacks, in the order of their combinations; `consensus` the members of the
     consensus of each layer, as indices of `stacks`.
     """
-    flaws, names = MeshFlaws(part), list(stacks)
+    flaws, names, readers = MeshFlaws(part), list(stacks), [Reader(stack) for stack in stacks.values()]
     columns = [{name: rows[name].to_numpy() for name in rows.columns} for rows in tables]
-    every = list(_disagreeing(names, columns, consensus, verdicts))
-    pairs: dict[tuple[str, str], list[Told]] = {}
-    for told in every:
-        pairs.setdefault((told.backend, told.against), []).append(told)
-    x, y, _ = part.bounds.mean(axis=0).tolist()
-    causes = {key: _diagnosed(pair, stacks, heights, flaws, (x, y)) for key, pair in pairs.items()}
-    namer = _Namer(flaws, stacks)
-    found = [namer.named(told, causes[told.backend, told.against]) for told in every]
-    found += [
-        _empty_finding(flaws, names, layer, float(heights[layer]), columns)
-        for layer, verdict in enumerate(verdicts)
-        if verdict == EMPTY
-    ]
-    return iter(sorted(found, key=lambda f: f.layer))
-
-
-def _disagreeing(
-    names: list[str],
-    columns: list[dict[str, NDArray[Any]]],
-    consensus: list[tuple[int, ...]],
-    verdicts: list[str],
-) -> Iterator[Told]:
-    """Every slicer that differs from another one, layer by layer."""
-    couples = list(combinations(range(len(names)), 2))
-    for layer, verdict in enumerate(verdicts):
+    findings: list[tuple[int, int, Disagreement]] = []  # with layer and pair, by which they are sorted
+    differing: dict[
+        tuple[int, int, int], list[int]
+    ] = {}  # layers by pair, slicer that differs, and the other
+    for layer, (members, verdict) in enumerate(zip(consensus, verdicts, strict=True)):
+        if verdict == EMPTY:
+            findings.append((layer, 0, _empty_finding(flaws, names, layer, float(heights[layer]), columns)))
         if verdict not in (OUTLIER, UNDECIDED):
             continue
-        members = consensus[layer]
-        for (i, j), column in zip(couples, columns, strict=True):
-            if not column["gated"][layer] or column["agrees"][layer]:
+        for p, (i, j) in enumerate(combinations(range(len(names)), 2)):
+            if not columns[p]["gated"][layer] or columns[p]["agrees"][layer]:
                 continue
             if members and i not in members and j not in members:
                 continue  # two outliers: each is named against the consensus
-            is_second = i in members
-            backend, against = (j, i) if is_second else (i, j)
-            yield Told(layer, names[backend], names[against], column, is_second)
+            backend, against = (j, i) if i in members else (i, j)
+            differing.setdefault((p, backend, against), []).append(layer)
+    for (p, backend, against), layers in differing.items():
+        pair, both = (names[backend], names[against]), (readers[backend], readers[against])
+        order = ("b", "a") if backend > against else ("a", "b")
+        causes = _diagnosed(columns[p], order, layers, heights, both, flaws)
+        findings += [(k, p, _named(columns[p], k, pair, both, causes, flaws)) for k in layers]
+    return iter([finding for _, _, finding in sorted(findings, key=lambda found: found[:2])])
 
 
 def _diagnosed(
-    pair: Sequence[Told],
-    stacks: Mapping[str, LayerSource],
-    heights: Floats,
-    flaws: MeshFlaws,
-    origin_mm: tuple[float, float],
-) -> tuple[Cause, ...]:
-    """Find the systematic causes of a pair; none where planes pass through vertices only, which is then the common cause.
+    columns: Columns, order: tuple[str, str], layers: list[int], heights: Floats, readers: Readers, flaws: MeshFlaws
+) -> tuple[Cause, ...]:  # fmt: skip
+    """Systematic causes of a pair; none where planes pass through vertices only, which is then the common cause.
 
-    Layers with open paths are left out: their common cause is a mesh that is not closed.
+    Layers with open paths are left out: their common cause is a mesh that is not closed. `order` names the columns of both.
     """
-    columns = pair[0].columns
     open_paths = columns["open_a"] + columns["open_b"]
-    closed = np.array([told.layer for told in pair if not open_paths[told.layer]], np.int64)
+    closed = np.array([layer for layer in layers if not open_paths[layer]], np.int64)
     if not (columns["class"][closed] == GENERIC).any():
         return ()
-    order = ("b", "a") if pair[0].is_second else ("a", "b")
-    found = Differing(
-        closed,
-        heights,
-        np.array([columns[f"area_{which}_mm2"] for which in order]),
-        np.array([columns[f"rings_{which}"] for which in order]),
+    areas = np.array([columns[f"area_{which}_mm2"] for which in order])
+    rings = np.array([columns[f"rings_{which}"] for which in order])
+    return diagnose(readers, closed, heights, areas, rings, flaws)
+
+
+def _named(
+    columns: Columns, layer: int, backends: tuple[str, str], readers: Readers, causes: tuple[Cause, ...],
+    flaws: MeshFlaws,
+) -> Disagreement:  # fmt: skip
+    """Name one disagreement of a pair; the layers of both are read if the mesh shows no cause."""
+    row = {name: values[layer] for name, values in columns.items()}
+    depth, limit, x_mm, y_mm, height_mm = (
+        float(row[name]) for name in ("depth_mm", "limit_mm", "depth_x_mm", "depth_y_mm", "height_mm")
     )
-    return diagnose(stacks[pair[0].backend], stacks[pair[0].against], found, flaws, origin_mm)
+    rings, holes = (abs(int(row[f"{name}_a"]) - int(row[f"{name}_b"])) for name in ("rings", "holes"))
+    metric = ("depth", depth, limit) if depth > limit else ("topology", float(rings or holes), 0.0)
+    has_open = bool(row["open_a"] + row["open_b"] > 0)
+    place = Place(x_mm, y_mm, height_mm, depth, limit, str(row["class"]), has_open)
+    declared = [reader.source.settings for reader in readers]
+    finding = (layer, height_mm, *backends, *metric, x_mm, y_mm)
+    # The cause that explains most, of those that affect the layer.
+    cause = next((c for c in causes if c.layers is None or layer in c.layers), None)
+    if cause is not None and not (place.known and declared_doubt(place, declared)):
+        size = cause.size, cause.unit, cause.share
+        return Disagreement(*finding, cause.kind, cause.in_words(), *size, remedy(cause.kind, *backends))
 
+    def contours() -> list[Floats]:
+        return [outline(reader.layer(layer), 0, (0.0, 0.0)).segments for reader in readers]
 
-class _Namer:
-    """Names disagreements; reads the layers of both slicers if the mesh shows no cause."""
-
-    def __init__(self, flaws: MeshFlaws, stacks: Mapping[str, LayerSource]) -> None:
-        self._flaws = flaws
-        self._declared = {name: stack.settings for name, stack in stacks.items()}
-        self._readers = {name: Reader(stack) for name, stack in stacks.items()}
-
-    def named(self, told: Told, causes: tuple[Cause, ...]) -> Disagreement:
-        """Name one disagreement of a pair."""
-        row = {name: values[told.layer] for name, values in told.columns.items()}
-        backends = (told.backend, told.against)
-        depth, limit = float(row["depth_mm"]), float(row["limit_mm"])
-        rings = abs(int(row["rings_a"]) - int(row["rings_b"])) or abs(
-            int(row["holes_a"]) - int(row["holes_b"])
-        )
-        metric = ("depth", depth, limit) if depth > limit else ("topology", float(rings), 0.0)
-        x_mm, y_mm, height_mm = (float(row[name]) for name in ("depth_x_mm", "depth_y_mm", "height_mm"))
-        place = Place(
-            x_mm, y_mm, height_mm, depth, limit, str(row["class"]), bool(row["open_a"] + row["open_b"] > 0)
-        )
-        declared = [self._declared[name] for name in backends]
-        finding = (told.layer, height_mm, *backends, *metric, x_mm, y_mm)
-        cause = cause_of(causes, told.layer)
-        if cause is not None and not (place.known and declared_doubt(place, declared)):
-            return Disagreement(
-                *finding, cause.kind, cause.in_words(), cause.size, cause.unit, cause.share,
-                remedy(cause.kind, *backends),
-            )  # fmt: skip
-        likely = likely_cause(
-            self._flaws, place, declared, lambda: [self._segments(name, told.layer) for name in backends]
-        )
-        return Disagreement(*finding, likely, likely, remedy=remedy(likely, *backends))
-
-    def _segments(self, name: str, layer: int) -> Floats:
-        return outline(self._readers[name].layer(layer), 0, (0.0, 0.0)).segments
+    likely = likely_cause(flaws, place, declared, contours)
+    return Disagreement(*finding, likely, likely, remedy=remedy(likely, *backends))
 
 
 def _empty_finding(
-    flaws: MeshFlaws, names: list[str], layer: int, height_mm: float, columns: list[dict[str, NDArray[Any]]]
+    flaws: MeshFlaws, names: list[str], layer: int, height_mm: float, tables: Sequence[Columns]
 ) -> Disagreement:
     """Name a layer that is empty in all stacks although facets of the part cross it; the value is the area."""
     x, y = flaws.place(height_mm)
-    column = columns[0]
-    open_paths = any(bool(c["open_a"][layer] + c["open_b"][layer] > 0) for c in columns)
-    extent = float(np.linalg.norm(flaws.part.size))
-    place = Place(x, y, height_mm, extent, 0.0, str(column["class"][layer]), open_paths)
-    cause = likely_cause(flaws, place)
+    has_open = any(bool(columns["open_a"][layer] + columns["open_b"][layer] > 0) for columns in tables)
+    extent, layer_class = float(np.linalg.norm(flaws.part.size)), str(tables[0]["class"][layer])
+    cause = likely_cause(flaws, Place(x, y, height_mm, extent, 0.0, layer_class, has_open))
     backends = ",".join(names)
-    return Disagreement(
-        layer, height_mm, backends, "part", "empty", 0.0, 0.0, x, y, cause, cause,
-        remedy=remedy(cause, backends, "part"),
-    )  # fmt: skip
+    finding = (layer, height_mm, backends, "part", "empty", 0.0, 0.0, x, y, cause, cause)
+    return Disagreement(*finding, remedy=remedy(cause, backends, "part"))
 
 
-# -- Remedies for a disagreement, by its cause: a setting, another slicer, another direction, or a repair of
-# the part.
+# -- Systematic causes of the difference of two slicers, each with its size and the share that it explains ------------
 
+# Least share of a difference that the causes together must explain to be named: noise, too, fits some cause by chance, and a scale
+# that explains 51 % fits a square that has lost a corner
+NAMED = 0.55
+LARGE = 1.5  # factor of size from which sections differ by their unit
+
+
+def diagnose(
+    readers: Readers, differing: Ints, heights: Floats, areas: Floats, rings: Ints, flaws: MeshFlaws
+) -> tuple[Cause, ...]:
+    """Systematic causes of the differences of one slicer from another, the one that explains most first; none for noise.
+
+    They differ on the layers `differing` (n,), rising; heights (L,), areas and numbers of closed rings (2, L) are of all layers, those
+    of the first slicer first. At most :data:`~ebamcheck.comparison.whole_causes.MOST_SHEETS` layers are examined.
+    """
+    x, y, _ = flaws.part.bounds.mean(axis=0).tolist()
+    solid = differing[rings[0, differing] > 0]
+    sheets = sample(solid, rings.sum(axis=0), heights, *readers, (x, y))
+    unit = _unit(sheets, flaws)
+    if unit is not None:
+        return (unit,)
+    causes, left = layer_causes(sheets, differing, areas, rings, readers[1])
+    remains = max(1.0 - sum(cause.share for cause in causes), 0.0)
+    if left and remains > LEAST:
+        step_mm = float(np.median(np.diff(heights))) if heights.size > 1 else 1.0
+        causes += [cause.scaled(remains) for cause in _in_sheets(left, flaws, step_mm)]
+    causes = sorted((c for c in causes if c.share >= LEAST), key=lambda c: -c.share)
+    return tuple(causes) if sum(c.share for c in causes) >= NAMED else ()
+
+
+def _unit(sheets: Sequence[Sheet], flaws: MeshFlaws) -> Cause | None:
+    """A mistaken unit of the whole part, which also changes the section at each height."""
+    solid = [sheet for sheet in sheets if sheet.both_solid]
+    areas = [[float(np.abs(stack.ring_areas).sum()) for stack in (sheet.a, sheet.b)] for sheet in solid]
+    ratios = [of_a / max(of_b, 1e-300) for of_a, of_b in areas]
+    if not ratios or 1.0 / LARGE < math.sqrt(float(np.median(ratios))) < LARGE:
+        return None
+    unit = wrong_unit(solid, flaws)
+    return unit if unit.share >= ENOUGH else None
+
+
+def _in_sheets(sheets: list[Sheet], flaws: MeshFlaws, step_mm: float) -> list[Cause]:
+    """Causes in whole rings, and in the position and size of contours."""
+    rule = other_rule(sheets, flaws)
+    if rule is not None and rule.share >= ENOUGH:
+        return [rule]
+    before = total_mm2(sheets)
+    causes, mended = ring_causes(sheets, LEAST)
+    remains = total_mm2(mended) / before if before > 0.0 else 0.0
+    solid = [sheet for sheet in mended if sheet.both_solid]
+    if remains > LEAST and solid:
+        causes += [cause.scaled(remains) for cause in contour_causes(solid, flaws, step_mm)]
+    return causes
+
+
+# -- Remedies for a disagreement, by its cause: a setting, another slicer, another direction, or a repair of the part
 
 LEAVE_OUT = "leave {backend} out (--backends), and tell those who make it"
 SETTINGS = "look at the settings of {backend} (slicing.settings.{backend})"
@@ -241,27 +241,19 @@ class Disagreement:
 
     layer: int
     height_mm: float
-    backend: str
-    """The outlier; on an undecided layer, either of the two."""
-    against: str
-    """The backend it was compared with, or ``part`` for a layer that came out empty."""
-    metric: str
-    """``depth``, ``topology`` (numbers of outer rings and holes) or ``empty``."""
+    backend: str  # the outlier; on an undecided layer, either of the two
+    against: str  # the backend it was compared with, or `part` for a layer that came out empty
+    metric: str  # "depth", "topology" (numbers of outer rings and holes) or "empty"
     value: float
     limit: float
     x_mm: float
     y_mm: float
-    cause: str
-    """Kind of the likely cause: ``translation``, ``open edge``, ``unknown``."""
-    cause_text: str = ""
-    """Description of the cause, with its size and the share of the difference that it explains, if known."""
-    cause_size: float | None = None
-    """Fitted size of the cause, in `cause_unit`; None if it has none."""
+    cause: str  # kind of the likely cause: "translation", "open edge", "unknown"
+    cause_text: str = ""  # the cause with its size and the share of the difference that it explains, if known
+    cause_size: float | None = None  # fitted size of the cause, in `cause_unit`; None if it has none
     cause_unit: str = ""
-    cause_share: float | None = None
-    """Share of the difference between the two slicers that the cause explains, 0 .. 1."""
-    remedy: str = ""
-    """What to do about it, without a full stop."""
+    cause_share: float | None = None  # share of the difference that the cause explains, 0 .. 1
+    remedy: str = ""  # without a full stop
 
     @property
     def excess(self) -> float:

@@ -1,7 +1,6 @@
 """The contours of one layer prepared for measuring: segments, a tree over them, samples along them, sweep events.
 
-A layer is prepared once and then measured against any number of others. All outlines that are measured
-against each other share one origin near the part, so that parts far from zero keep their digits.
+Outlines that are measured against each other share one origin near the part, so that parts far from zero keep their digits.
 """
 
 from __future__ import annotations
@@ -16,69 +15,48 @@ from ebamcheck.geometry.rings import EPSILON, stable_order
 from ebamcheck.kernels import Bools, Floats, Ints, ShortInts, kernel
 from ebamcheck.layers.stack import Layers
 
-# Deviation, relative to the largest coordinate, below which a point on a straight run is dropped
-ROUNDING = 4.0 * EPSILON
-
+# Least number of equal pieces into which a contour is divided; along each the distance is taken as linear, which is a good
+# approximation while the nearest segment stays the same
 PIECES = 512
-"""Least number of equal pieces into which a contour is divided; along each the distance is taken as
-linear, which is a good approximation while the nearest segment stays the same."""
 
 # Kinds of events: a chain continues with its next segment, two chains start, or two end
 ADVANCE, OPEN, CLOSE = 0, 1, 2
-
+# Columns of `events`: kind; the chain, or the left and right one of two that start or end; the segments with which these
+# continue upwards, -1 for none
 KIND, LEFT, RIGHT, LEFT_SEGMENT, RIGHT_SEGMENT = 0, 1, 2, 3, 4
-"""Columns of events: kind; the chain, or the left and right one of two that start, or both that end; and
-the segments with which these continue upwards, -1 for none."""
-
 # Columns of `edges`: lower and upper end, mm, and change of x with y
 X_LOW, Y_LOW, X_HIGH, Y_HIGH, SLOPE = 0, 1, 2, 3, 4
 
 
 class Samples(NamedTuple):
-    """Both ends of every segment, and places between on long segments, path after path.
+    """Both ends of every segment, and places between on long segments, path after path; a ring ends at its first place again."""
 
-    A closed ring ends where it starts, with a sample of its own.
-    """
-
-    places: Floats
-    """(M, 2) mm."""
-    lengths: Floats
-    """(M,) length of the piece from each sample to the next, mm; -1 at the end of a path."""
-    segments: Ints
-    """(M,) segment on which that piece lies; at the end of a path, the last segment."""
+    places: Floats  # (M, 2) mm
+    lengths: Floats  # (M,) length of the piece from each sample to the next, mm; -1 at the end of a path
+    segments: Ints  # (M,) segment on which that piece lies; at the end of a path, the last segment
 
 
 class Chains(NamedTuple):
-    """Vertices of closed rings from below, each with what happens there; level segments are left out.
+    """Vertices of closed rings from below, with the event at each, without level segments.
 
     A chain is a run of segments of a ring that rises, or one that falls, taken from its lower end up.
     """
 
-    levels: Floats
-    """(E + 1,) y of each vertex, mm, in ascending order; infinite at the end."""
-    events: ShortInts
-    """(E + 1, 5) what happens at each, nothing in the last row; columns as above."""
-    edges: Floats
-    """(E + 1, 5) segment with which the chain, or the left one of two, goes on upwards; columns as above."""
-    steps: Ints
-    """(C,) change of the winding number where each chain is crossed from left to right."""
+    levels: Floats  # (E + 1,) y of each vertex, mm, in ascending order; infinite at the end
+    events: ShortInts  # (E + 1, 5) event at each, none in the last row; columns as above
+    edges: Floats  # (E + 1, 5) segment with which the chain, or the left one of two, goes on upwards; columns as above
+    steps: Ints  # (C,) change of the winding number where each chain is crossed from left to right
 
 
 class Outline(NamedTuple):
     """The contours of one layer, mm, from a shared origin."""
 
-    segments: Floats
-    """(S, 4) ``x0, y0, x1, y1`` in the order of the contours; those of closed rings come first."""
-    paths: Ints
-    """(P + 1,) first segment of each path."""
-    rings: int
-    """Number of closed rings, which are the first paths; the rest are open."""
+    segments: Floats  # (S, 4) x0, y0, x1, y1 in the order of the contours; those of closed rings come first
+    paths: Ints  # (P + 1,) first segment of each path
+    rings: int  # number of closed rings, which are the first paths; the rest are open
     tree: SegmentTree
-    """Segments by boxes."""
-    samples: Samples
-    """Places along the contours at which distances are taken."""
-    chains: Chains
-    """Closed rings in the order in which a rising sweep line meets them."""
+    samples: Samples  # places along the contours at which distances are taken
+    chains: Chains  # closed rings in the order in which a rising sweep line meets them
 
 
 def outline(layers: Layers, layer: int, origin_mm: tuple[float, float]) -> Outline:
@@ -116,10 +94,10 @@ def windings(segments: Floats, places: Floats) -> Ints:
 @kernel
 def _outline(points: Floats, starts: Ints, closed: Bools, x_mm: float, y_mm: float) -> Outline:
     """Build an outline from the rings of one layer: closed ones first, without the points inside straight runs."""
-    most = 0.0  # the size of the coordinates decides what is straight
+    most = 0.0  # the size of the coordinates decides which points lie on a straight run, to rounding
     for i in range(len(points)):
         most = max(most, abs(points[i, 0]), abs(points[i, 1]))
-    tolerance = ROUNDING * max(most, abs(x_mm) + abs(y_mm))
+    tolerance = 4.0 * EPSILON * max(most, abs(x_mm) + abs(y_mm))
     written = np.empty((len(points), 4))
     paths = np.zeros(starts.size, np.int64)
     count, path, rings = 0, 0, 0

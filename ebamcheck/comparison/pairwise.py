@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -24,10 +24,7 @@ from ebamcheck.threads import run_blocks
 
 SAME_HEIGHT_MM = 1e-6  # heights closer than this are the same: finer than any slice file writes them
 SMALLEST_BLOCK = 16  # fewest layers of a task, so that starting it costs little in comparison
-# Tasks per thread into which a block of layers is divided: small ones, so that all threads finish at about the same time
-TASKS_A_THREAD = 32
-
-DepthFrom = Literal["auto", "a", "b", "nearer"]
+TASKS_A_THREAD = 32  # tasks per thread of a block of layers: all threads finish at about the same time
 
 
 class Pair(NamedTuple):
@@ -49,7 +46,6 @@ def compare(
     bound_b_mm: float = 0.0,
     exact_a: bool = False,
     exact_b: bool = False,
-    depth_from: DepthFrom = "auto",
     part: Part | None = None,
     plane_margin_mm: float = 0.0,
     check_part: bool = True,
@@ -63,10 +59,8 @@ def compare(
     tolerance_mm, bound_a_mm, bound_b_mm
         The stacks agree where no point of the symmetric difference is deeper than the sum of these three.
     exact_a, exact_b
-        Whether the contours are those of the mesh to rounding.
-    depth_from
-        Contours from which depth is measured: ``"a"``, ``"b"``, the ``"nearer"`` of both at each point, or
-        ``"auto"``: the exact one's, the lesser of both depths if both are exact, the nearer if neither is.
+        Whether the contours are those of the mesh to rounding. Depth is measured from the exact ones: the lesser of both depths
+        if both are exact, from the nearer contour at each point if neither is.
     part, plane_margin_mm
         The part sliced, for the column `class` (``unknown`` without it), and the margin of the classes.
     check_part
@@ -108,8 +102,6 @@ def compare(
         raise SettingsError(
             f"tolerance {tolerance_mm} mm with bounds {bound_a_mm} and {bound_b_mm} mm: give numbers from 0 up"
         )
-    if depth_from != "auto":
-        exact_a, exact_b = depth_from == "a", depth_from == "b"
     classes = np.full(len(a), UNKNOWN) if part is None else layer_classes(part, a.heights, plane_margin_mm)
     origin = shared_origin([a, b])
     (figures,) = measure_stacks([a, b], [Pair(0, 1, limit, exact_a, exact_b)], origin)
@@ -118,21 +110,19 @@ def compare(
 
 def check_comparable(stacks: Mapping[str, LayerSource], check_part: bool = True) -> None:
     """Refuse stacks of different heights or of different parts; an empty hash matches any."""
-    names = list(stacks)
-    first = stacks[names[0]]
-    for name in names[1:]:
-        other = stacks[name]
+    (one, first), *others = stacks.items()
+    for name, other in others:
         if len(first) != len(other):
             raise SettingsError(
-                f"{names[0]!r} has {len(first)} layers and {name!r} has {len(other)}: compare the same heights"
+                f"{one!r} has {len(first)} layers and {name!r} has {len(other)}: compare the same heights"
             )
         apart = np.abs(first.heights - other.heights)
         differ = np.flatnonzero(~(apart <= SAME_HEIGHT_MM + 4.0 * EPSILON * np.abs(first.heights)))
         if differ.size:
             k = int(differ[0])
             raise SettingsError(
-                f"layer {k + 1} is at z = {first.heights[k]} mm in {names[0]!r} and at {other.heights[k]} mm "
-                f"in {name!r}: compare the same heights"
+                f"layer {k + 1} is at z = {first.heights[k]} mm in {one!r} and at {other.heights[k]} mm in {name!r}: "
+                "compare the same heights"
             )
     known: dict[str, str] = {}
     for name, stack in stacks.items():
@@ -151,10 +141,10 @@ def measure_stacks(
     pairs: Sequence[Pair],
     origin_mm: tuple[float, float],
     progress: Callable[[int], None] | None = None,
-) -> NDArray[np.float64]:
+) -> Floats:
     """Figures of all pairs on all layers, (P, L, F) in the order of :class:`Figures`, in coordinates from an origin."""
 
-    def work(start: int, stop: int) -> NDArray[np.float64]:
+    def work(start: int, stop: int) -> Floats:
         figures = measure_block(stacks, pairs, origin_mm, start, stop)
         if progress is not None:
             progress(stop - start)
@@ -165,11 +155,8 @@ def measure_stacks(
 
 def measure_block(
     stacks: Sequence[Layers], pairs: Sequence[Pair], origin_mm: tuple[float, float], start: int, stop: int
-) -> NDArray[np.float64]:
-    """Figures of all pairs on layers ``start .. stop - 1``, (P, stop - start, F).
-
-    A pure function of picklable arguments; each layer is prepared once for all its pairs.
-    """
+) -> Floats:
+    """Figures of all pairs on layers ``start .. stop - 1``, (P, stop - start, F); each layer is prepared once for all its pairs."""
     figures = np.empty((len(pairs), stop - start, len(Figures._fields)))
     for layer in range(start, stop):
         outlines = [outline(stack, layer, origin_mm) for stack in stacks]
@@ -208,22 +195,19 @@ def _by_shapely(a: Layers, b: Layers, layer: int, found: Figures) -> Figures:
 
 
 def table(
-    a: Layers,
-    b: Layers,
-    figures: Floats,
-    limit_mm: float,
-    classes: NDArray[np.str_],
-    origin_mm: tuple[float, float],
-) -> pd.DataFrame:
+    a: Layers, b: Layers, figures: Floats, limit_mm: float, classes: NDArray[np.str_], origin_mm: tuple[float, float]
+) -> pd.DataFrame:  # fmt: skip
     """Figures of one pair (L, F), measured from an origin, as a table with counts and verdicts."""
     column = dict(zip(Figures._fields, figures.T, strict=True))
     symmetric = column["symmetric_difference"]
     union = 0.5 * (column["area_a"] + column["area_b"] + symmetric)
-    overlap = union - symmetric
-    empty = union <= 0.0
-    rings = {"a": a.ring_counts(), "b": b.ring_counts()}
-    holes = {"a": a.hole_counts(), "b": b.hole_counts()}
-    topology = _topologies(a, b, limit_mm, rings, holes)
+    overlap, empty = union - symmetric, union <= 0.0
+    rings_a, rings_b, holes_a, holes_b = a.ring_counts(), b.ring_counts(), a.hole_counts(), b.hole_counts()
+    # Outer rings and holes that one has and the other lacks; where there are such, the regions are examined.
+    differing = np.abs((rings_a - holes_a) - (rings_b - holes_b)) + np.abs(holes_a - holes_b)
+    topology = differing == 0
+    for layer in np.flatnonzero(~topology).tolist():
+        topology[layer] = regions_agree(a.section(layer), b.section(layer), limit_mm)
     columns: dict[str, Any] = {
         "layer": np.arange(len(a)),
         "height_mm": a.heights,
@@ -241,39 +225,21 @@ def table(
         "depth_mm": column["depth"],
         "depth_x_mm": column["depth_x"] + origin_mm[0],
         "depth_y_mm": column["depth_y"] + origin_mm[1],
-        "rings_a": rings["a"],
-        "rings_b": rings["b"],
-        "holes_a": holes["a"],
-        "holes_b": holes["b"],
+        "rings_a": rings_a,
+        "rings_b": rings_b,
+        "holes_a": holes_a,
+        "holes_b": holes_b,
         "open_a": a.open_counts(),
         "open_b": b.open_counts(),
         "topology_agrees": topology,
-        "set_aside": np.where(topology, _differing(rings, holes), 0),
+        "set_aside": np.where(topology, differing, 0),
         "limit_mm": np.full(len(a), limit_mm),
         "agrees": topology & (column["depth"] <= limit_mm),
     }
     return pd.DataFrame(columns)
 
 
-def _differing(rings: Mapping[str, Any], holes: Mapping[str, Any]) -> NDArray[np.int64]:
-    """Outer rings and holes (L,) that one stack has and the other lacks."""
-    outer = {name: rings[name] - holes[name] for name in rings}
-    return np.asarray(np.abs(outer["a"] - outer["b"]) + np.abs(holes["a"] - holes["b"]), np.int64)
-
-
-def _topologies(
-    a: Layers, b: Layers, limit_mm: float, rings: Mapping[str, Any], holes: Mapping[str, Any]
-) -> NDArray[np.bool_]:
-    """Whether the topology agrees on each layer; examined only where the numbers of rings or holes differ."""
-    agree: NDArray[np.bool_] = (rings["a"] == rings["b"]) & (holes["a"] == holes["b"])
-    for layer in np.flatnonzero(~agree):
-        agree[layer] = topologies_agree(a, b, int(layer), limit_mm)
-    return agree
-
-
-# -- Layer classes: whether a plane passes through vertices or faces of the part, where slicers differ by
-# definition.
-
+# -- Layer classes: whether a plane passes through vertices or faces of the part, where slicers differ by definition
 
 GENERIC = "generic"
 VERTEX_ON_PLANE = "vertex-on-plane"
@@ -294,9 +260,8 @@ def layer_classes(part: Part, heights: ArrayLike, margin_mm: float) -> NDArray[n
     used = np.zeros(len(part.vertices), np.bool_)
     used[part.faces] = True
     levels = np.sort(part.vertices[used, 2])
-    first = np.searchsorted(levels, planes - margin_mm, side="left")
-    past = np.searchsorted(levels, planes + margin_mm, side="right")
-    classes[past > first] = VERTEX_ON_PLANE
+    below = np.searchsorted(levels, planes - margin_mm, side="left")
+    classes[np.searchsorted(levels, planes + margin_mm, side="right") > below] = VERTEX_ON_PLANE
     a, b, c = part.vertices[:, 2][part.faces.T]
     low, high = np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
     flat = high - low <= 2.0 * margin_mm
@@ -306,37 +271,27 @@ def layer_classes(part: Part, heights: ArrayLike, margin_mm: float) -> NDArray[n
     low, high = low[flat][order], high[flat][order]
     # Least upper end among the flat facets that start at or above each place, in one sweep from the top.
     least_high = np.append(np.minimum.accumulate(high[::-1])[::-1], np.inf)
-    classes[least_high[np.searchsorted(low, planes - margin_mm, side="left")] <= planes + margin_mm] = (
-        FACE_ON_PLANE
-    )
+    top = least_high[np.searchsorted(low, planes - margin_mm, side="left")]
+    classes[top <= planes + margin_mm] = FACE_ON_PLANE
     return classes
 
 
 # -- Whether two regions have the same outer rings and holes once thin features are set aside ------------------
 #
-# A feature thinner than twice the limit (a sliver, a neck, a slit, a pore) may rightly be in one region and
-# not in the other. So each region is counted with its thin features and without: as it is, without the pieces
-# and holes that are thin throughout, opened by the limit (thin solids gone), closed by it (thin gaps gone),
-# and both in either order. The two agree if their ranges of the number of outer rings overlap, and their
-# ranges of the number of holes too.
+# A feature thinner than twice the limit (a sliver, a neck, a slit, a pore) may rightly be in one region and not in the other. So each
+# region is counted with its thin features and without: as it is, without the pieces and holes that are thin throughout, opened by the
+# limit (thin solids gone), closed by it (thin gaps gone), and both in either order. The two agree if their ranges of the number of
+# outer rings overlap, and their ranges of the number of holes too.
 #
-# A piece of a wedge that is just thinner than that in one region may be up to twice as thick in the other,
-# cut off from it by necks that are gone. Regions that do not agree are therefore counted once more at twice
-# the limit. No fault hides there: a feature thicker than ``2 r`` that one of two regions lacks has a depth of
-# more than `r`, which has a limit of its own.
-
+# A piece of a wedge that is just thinner than that in one region may be up to twice as thick in the other, cut off from it by necks
+# that are gone. Regions that do not agree are therefore counted once more at twice the limit. No fault hides there: a feature thicker
+# than ``2 r`` that one of two regions lacks has a depth of more than `r`, which has a limit of its own.
 
 ARC_SEGMENTS = 4  # segments a quarter circle in the offsets: their radius is right to 2 %
-Counts = tuple[range, range]  # range of the number of outer rings, and of holes
-
-
-def topologies_agree(a: Layers, b: Layers, layer: int, limit_mm: float) -> bool:
-    """Whether a layer's outer rings and holes agree once features thinner than ``2 limit_mm`` in either are set aside."""
-    return regions_agree(a.section(layer), b.section(layer), limit_mm)
 
 
 def regions_agree(a: BaseGeometry, b: BaseGeometry, limit_mm: float) -> bool:
-    """Whether two regions whose boundaries are within a limit of each other have the same outer rings and holes.
+    """Whether two regions within a limit of each other have the same outer rings and holes once thin features are set aside.
 
     Examples
     --------
@@ -347,23 +302,20 @@ def regions_agree(a: BaseGeometry, b: BaseGeometry, limit_mm: float) -> bool:
     (True, False)
     """
     for radius_mm in (limit_mm, 2.0 * limit_mm):
-        (outer_a, holes_a), (outer_b, holes_b) = thin_counts(a, radius_mm), thin_counts(b, radius_mm)
-        if _overlap(outer_a, outer_b) and _overlap(holes_a, holes_b):
+        ranges = zip(thin_counts(a, radius_mm), thin_counts(b, radius_mm), strict=True)
+        if all(one.start < other.stop and other.start < one.stop for one, other in ranges):
             return True
     return False
 
 
-def thin_counts(solid: BaseGeometry, limit_mm: float) -> Counts:
+def thin_counts(solid: BaseGeometry, limit_mm: float) -> list[range]:
     """Ranges of the number of outer rings and of holes, with thin features kept or set aside."""
     variants = [solid]
     if limit_mm > 0.0 and not solid.is_empty:
-        opened = _closed(solid, -limit_mm)
-        closed = _closed(solid, limit_mm)
+        opened, closed = _closed(solid, -limit_mm), _closed(solid, limit_mm)
         variants += [opened, closed, _closed(opened, limit_mm), _closed(closed, -limit_mm)]
-    counts = [_counts(variant) for variant in variants]
-    counts.append(_counts(solid, limit_mm))
-    outer, holes = [c[0] for c in counts], [c[1] for c in counts]
-    return range(min(outer), max(outer) + 1), range(min(holes), max(holes) + 1)
+    counts = [*map(_counts, variants), _counts(solid, limit_mm)]
+    return [range(min(numbers), max(numbers) + 1) for numbers in zip(*counts, strict=True)]
 
 
 def _closed(solid: BaseGeometry, by_mm: float) -> BaseGeometry:
@@ -378,11 +330,8 @@ def _counts(solid: BaseGeometry, thin_mm: float = 0.0) -> tuple[int, int]:
     polygons = [p for p in shapely.get_parts(solid) if p.geom_type == "Polygon" and not p.is_empty]
     holes = [shapely.Polygon(ring) for polygon in polygons for ring in polygon.interiors]
     if thin_mm > 0.0:
+        shapes = polygons, holes
         polygons, holes = (
-            [p for p in those if not eroded(p, thin_mm, ARC_SEGMENTS).is_empty] for those in (polygons, holes)
+            [p for p in some if not eroded(p, thin_mm, ARC_SEGMENTS).is_empty] for some in shapes
         )
     return len(polygons), len(holes)
-
-
-def _overlap(a: range, b: range) -> bool:
-    return a.start < b.stop and b.start < a.stop

@@ -4,18 +4,17 @@ It is the sweep of Bentley and Ottmann (Algorithms for reporting and counting ge
 Computers C-28, 1979, 643-647): crossings are looked for between neighbours alone. Their balanced tree and queue are a sorted
 table here and a scan of it, since the sections of a layer have few edges at one level.
 
-An edge is the part of a chain that the sweep line crosses. The gap of an edge lies to its right, up to the next
-edge: a trapezoid, wholly inside or outside either region (winding number > 0). Its winding numbers stay the same from the level
-where the two become neighbours to the one where either ends, turns or is crossed. Only then is the trapezoid between them added,
-so the cost of a level is that of the changes there, not of all edges that pass through it.
+An edge is the part of a chain that the sweep line crosses. The gap of an edge lies to its right, up to the next edge: a trapezoid,
+wholly inside or outside either region (winding number > 0). Its winding numbers stay the same from the level where the two become
+neighbours to the one where either ends, turns or is crossed. Only then is the trapezoid between them added, so a level costs what
+changes there, not what passes through it.
 
-Neighbours are in the right order up to rounding: when two edges become neighbours, the level at which they
-cross is computed. If rounding gets an order wrong, the error is the area between edges that coincide within
-rounding; so shared edges and touching rings need no special care.
+When two edges become neighbours, the level at which they cross is computed. If rounding gets an order wrong, the error is the
+area between edges that coincide within rounding; so shared edges and touching rings need no special care.
 
-The status is two tables with one row per edge, from left to right, and a few sums. They are passed on one
-by one: a tuple of them would cost reference counts at every call. Row -1, the last one, and the row after
-the last edge are borders, so that every edge has a gap on both sides.
+The status is two tables with one row per edge, from left to right, and a few sums. They are passed on one by one: a tuple of them
+would cost reference counts at every call. Row -1, the last one, and the row after the last edge are borders, so that every edge
+has a gap on both sides.
 """
 
 from __future__ import annotations
@@ -41,35 +40,26 @@ from ebamcheck.kernels import Floats, Ints, kernel
 
 MOST_CROSSINGS = 2_000_000  # most crossings in one sweep; beyond it the caller uses shapely instead
 
+# Trapezoids that one step of the sweep takes at most for each edge of the status: an edge that moves passes every other once at
+# most, and three gaps change each time, as at either end of a level run
 TAKEN_AN_EDGE = 6
-"""Trapezoids that one step of the sweep takes at most for each edge of the status: an edge that moves passes
-every other once at most, and three gaps change each time, as at either end of a level run."""
 
-SEGMENT, X_NOW = 5, 6
-"""Columns of `edges` after those of :attr:`ebamcheck.comparison.outline.Chains.edges`: which segment it is, and x at the level at
-which the areas beside it were taken last."""
-
-# Columns of `edges` for its gap: level up to which its area is taken, x of its sides there, level at which they cross
-SINCE, LEFT, RIGHT, CROSSING = 7, 8, 9, 10
-
+# Columns of `edges` after those of the chains: its segment, and x at the level at which the areas beside it were taken last; of its
+# gap the level up to which its area is taken, x of its sides there, and the level at which they cross
+SEGMENT, X_NOW, SINCE, LEFT, RIGHT, CROSSING = 5, 6, 7, 8, 9, 10
 EDGE_COLUMNS = 11
-
-# Columns of `marks`: chain of the edge, change of both winding numbers across it, those in its gap
-CHAIN, STEP_A, STEP_B, WINDING_A, WINDING_B = 0, 1, 2, 3, 4
-PLACE = 5  # column of `marks` with a row a chain instead: place of its edge in the status
-
+# Columns of `marks`: chain of the edge, change of both winding numbers across it, those in its gap; and, with a row a chain
+# instead, the place of its edge in the status
+CHAIN, STEP_A, STEP_B, WINDING_A, WINDING_B, PLACE = 0, 1, 2, 3, 4, 5
 MARK_COLUMNS = 6
-
 # Columns of `sums`: areas so far, mm2; number of trapezoids stored
 AREA_A, AREA_B, DIFFERENCE, TRAPEZOIDS = 0, 1, 2, 3
-BORDER_MM = 1e200  # x of the borders: beyond every edge, yet so small that areas up to them are finite
-
+# Columns of `difference`, the trapezoids of the symmetric difference: levels, x of both sides at each, and the segments on which
+# these lie. It has no rows where they are not wanted
 Y0, Y1, L0, L1, R0, R1, LEFT_SEGMENT, RIGHT_SEGMENT = 0, 1, 2, 3, 4, 5, 6, 7
-"""Columns of `difference`, the trapezoids of the symmetric difference: levels, x of both sides at each, and
-the segments on which these lie. It has no rows where they are not wanted."""
-
 # State of a sweep: events passed of either outline, edges of the status, and crossings passed
 NEXT_A, NEXT_B, EDGES, CROSSINGS = 0, 1, 2, 3
+BORDER_MM = 1e200  # x of the borders: beyond every edge, yet so small that areas up to them are finite
 
 
 class Overlap(NamedTuple):
@@ -78,11 +68,9 @@ class Overlap(NamedTuple):
     area_a_mm2: float
     area_b_mm2: float
     symmetric_difference_mm2: float
+    # (T, 8) trapezoids of the symmetric difference, if wanted; segments of the second outline are numbered after those of the first
     difference: Floats
-    """(T, 8) trapezoids of the symmetric difference, if wanted; columns as above. Segments of the second outline are numbered
-    after those of the first."""
-    sound: bool
-    """False if there were too many crossings."""
+    sound: bool  # false if there were too many crossings
 
 
 @kernel
@@ -115,18 +103,11 @@ def overlap(a: Outline, b: Outline, wanted: bool) -> Overlap:
 
 @kernel
 def _sweep(
-    a: Outline,
-    b: Outline,
-    steps: Ints,
-    edges: Floats,
-    marks: Ints,
-    sums: Floats,
-    difference: Floats,
-    come: Ints,
-) -> bool:
-    """Sweep on from where it has come to; False where there is no room to write down what the next step may add.
+    a: Outline, b: Outline, steps: Ints, edges: Floats, marks: Ints, sums: Floats, difference: Floats, come: Ints
+) -> bool:  # fmt: skip
+    """Sweep on from the state `come`; False where there is no room to write down what the next step may add.
 
-    What most levels do stands here at length: to call a kernel with all tables costs more than what it does. And nothing
+    The work at most levels stands here at length: to call a kernel with all tables costs more than the work itself. Nothing
     that is as good as random is a branch: which outline goes on, and to which areas a gap adds.
     """
     levels_a, events_a, edges_a = a.chains.levels, a.chains.events, a.chains.edges
@@ -159,11 +140,8 @@ def _sweep(
             for c in range(SLOPE + 1):
                 here, there = edges_a[next_a, c], edges_b[next_b, c]
                 edges[m, c] = here if from_a else there
-            segment_a, segment_b = (
-                events_a[next_a, events.LEFT_SEGMENT],
-                events_b[next_b, events.LEFT_SEGMENT],
-            )
-            edges[m, SEGMENT] = segment_a if from_a else segment_b + segments
+            of_a, of_b = events_a[next_a, events.LEFT_SEGMENT], events_b[next_b, events.LEFT_SEGMENT]
+            edges[m, SEGMENT] = of_a if from_a else of_b + segments
             edges[m, X_NOW] = edges[m, X_LOW]
             for k in range(m - 1, m + 1):
                 level = _start_gap(edges, k, y)
@@ -254,8 +232,7 @@ def _take_areas(
 ) -> None:
     """Add the trapezoids of gaps ``first .. last`` up to a level to the areas that they belong to.
 
-    Whether a gap is in a region is taken as a factor, so that all sums are added to, if only nothing: which of them a gap adds to
-    is as good as random, and a choice between numbers by a condition on others is a branch in machine code.
+    Whether a gap is in a region is a factor: which sums a gap adds to is as good as random, and a choice would be a branch.
     """
     area_a, area_b, differs = sums[AREA_A], sums[AREA_B], sums[DIFFERENCE]
     right = edges[first, X_NOW] = _x_at(edges, first, y)
@@ -265,21 +242,16 @@ def _take_areas(
         since = edges[k, SINCE]
         area = 0.5 * ((edges[k, RIGHT] - edges[k, LEFT]) + (right - left)) * (y - since)
         in_a, in_b = marks[k, WINDING_A] > 0, marks[k, WINDING_B] > 0
-        area_a, area_b, differs = (
-            area_a + in_a * area,
-            area_b + in_b * area,
-            differs + (in_a != in_b) * max(area, 0.0),
-        )
+        area_a, area_b = area_a + in_a * area, area_b + in_b * area
+        differs += (in_a != in_b) * max(area, 0.0)
         if len(difference) > 0 and in_a != in_b and since != y:
             t = int(sums[TRAPEZOIDS])
             sums[TRAPEZOIDS] = t + 1
             difference[t, Y0], difference[t, Y1] = since, y
             difference[t, L0], difference[t, L1] = edges[k, LEFT], left
             difference[t, R0], difference[t, R1] = edges[k, RIGHT], right
-            difference[t, LEFT_SEGMENT], difference[t, RIGHT_SEGMENT] = (
-                edges[k, SEGMENT],
-                edges[k + 1, SEGMENT],
-            )
+            difference[t, LEFT_SEGMENT] = edges[k, SEGMENT]
+            difference[t, RIGHT_SEGMENT] = edges[k + 1, SEGMENT]
         edges[k, SINCE], edges[k, LEFT], edges[k, RIGHT] = y, left, right
     sums[AREA_A], sums[AREA_B], sums[DIFFERENCE] = area_a, area_b, differs
 

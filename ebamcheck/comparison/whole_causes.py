@@ -1,16 +1,19 @@
-"""Systematic causes: what one is, and those in whole layers and in whole rings."""
+"""Systematic causes of the difference of two slicers; sheets, by which they are found; those in whole layers and rings."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from ebamcheck.comparison.outline import outline
-from ebamcheck.comparison.sheets import Reader, Sheet, apart_mm2, total_mm2
+from ebamcheck.comparison.outline import Outline, outline
+from ebamcheck.comparison.sources import Reader
+from ebamcheck.comparison.sweep import overlap
 from ebamcheck.kernels import Floats, Ints
-from ebamcheck.layers.stack import Layers
+from ebamcheck.layers.stack import Layers, from_rings
 
 OFFSET = "constant offset"
 TRANSLATION = "translation"
@@ -40,22 +43,17 @@ KINDS = (
 class Cause:
     """One systematic cause of the difference between two slicers."""
 
-    kind: str
-    """One of :data:`KINDS`."""
-    size: float
-    """Fitted size: mm, a factor, degrees, or a number of rings or layers; of a translation its length."""
+    kind: str  # one of `KINDS`
+    size: float  # fitted size: mm, a factor, degrees, or a number of rings or layers; of a translation its length
     unit: str
-    text: str
-    """Description with the size: ``translation by (0.120, -0.050) mm``."""
-    share: float
-    """Share of the difference that it explains, 0 .. 1."""
-    layers: frozenset[int] | None = None
-    """Layers that the cause affects; None: all on which the two differ."""
+    text: str  # description with the size: "translation by (0.120, -0.050) mm"
+    share: float  # share of the difference that it explains, 0 .. 1
+    layers: frozenset[int] | None = None  # layers that the cause affects; None: all on which the two differ
+    # Descriptions of other causes that explain these layers as well: on a cylinder, scaling is the same as an offset
     also: tuple[str, ...] = ()
-    """Descriptions of other causes that explain these layers as well: on a cylinder, scaling is the same as an offset."""
 
     def scaled(self, share: float) -> Cause:
-        """Return the same cause with its share multiplied by `share`, as it was found in that part of a difference only."""
+        """Return the same cause, found in this share of a difference only."""
         return replace(self, share=self.share * share)
 
     def in_words(self) -> str:
@@ -70,12 +68,93 @@ class Cause:
         return f"{self.text}{other} (explains {100.0 * self.share:.0f} % of the difference)"
 
 
+# -- Layers of two slicers side by side ---------------------------------------------------------------------------
+
+MOST_SHEETS = 12  # most layers of a pair that are examined: enough to find what they have in common
+# Most rings of these layers, of both slicers together: fewer are taken where each has over 25,000, as specks of a raster may be
+MOST_RINGS = 300_000
+
+
+@dataclass(frozen=True, eq=False)
+class Sheet:
+    """One layer of the slicer that differs, `a`, and of the one that it is compared with, as stacks of one layer each."""
+
+    layer: int
+    height_mm: float
+    a: Layers
+    b: Layers
+    origin_mm: tuple[float, float]
+
+    @cached_property
+    def outline_a(self) -> Outline:
+        """Outline of `a` from the origin."""
+        return outline(self.a, 0, self.origin_mm)
+
+    @cached_property
+    def contours_a(self) -> Floats:
+        """Segments (S, 4) of the closed rings of `a` from the origin."""
+        return from_origin(ring_segments(self.a), self.origin_mm)
+
+    @cached_property
+    def contours_b(self) -> Floats:
+        """Segments (S, 4) of the closed rings of `b` from the origin."""
+        return from_origin(ring_segments(self.b), self.origin_mm)
+
+    @cached_property
+    def difference_mm2(self) -> float:
+        """Area of the symmetric difference."""
+        return self.apart_mm2(self.b)
+
+    def apart_mm2(self, other: Layers) -> float:
+        """Area of the symmetric difference of `a` and another layer; infinite if they have too many crossings."""
+        swept = overlap(self.outline_a, outline(other, 0, self.origin_mm), False)
+        return float(swept.symmetric_difference_mm2) if swept.sound else np.inf
+
+    @property
+    def both_solid(self) -> bool:
+        """Whether both have a closed ring."""
+        return bool(self.a.closed.any() and self.b.closed.any())
+
+    def with_rings(self, rings: Sequence[ArrayLike]) -> Sheet:
+        """Return the sheet with other closed rings in place of those of `a`."""
+        return replace(self, a=from_rings([self.height_mm], [rings]))
+
+
+def ring_segments(layers: Layers) -> Floats:
+    """Segments (S, 4) of all closed rings: ``x0, y0, x1, y1`` with the solid on their left."""
+    following = np.arange(1, len(layers.points) + 1)
+    following[layers.ring_starts[1:] - 1] = layers.ring_starts[:-1]
+    closed = np.repeat(layers.closed, np.diff(layers.ring_starts))
+    return np.hstack([layers.points, layers.points[following]])[closed]
+
+
+def from_origin(segments: Floats, origin_mm: tuple[float, float]) -> Floats:
+    """The same segments (S, 4) from an origin."""
+    return np.asarray(segments - np.array([*origin_mm, *origin_mm]))
+
+
+def sample(
+    layers: Ints, rings: Ints, heights: Floats, a: Reader, b: Reader, origin_mm: tuple[float, float]
+) -> list[Sheet]:
+    """Sheets of a few of the layers on which two stacks differ, spread evenly; `rings` (L,) is how many each has."""
+    if not layers.size:
+        return []
+    # The more rings the layers have, by their median, the fewer are taken; points are not counted before a layer is read.
+    typical = max(float(np.median(rings[layers])), 1.0)
+    count = int(np.clip(MOST_RINGS / typical, 1, min(MOST_SHEETS, layers.size)))
+    at = np.unique(np.round(np.linspace(0, layers.size - 1, count + 2)[1:-1]).astype(np.int64))
+    return [Sheet(k, float(heights[k]), a.layer(k), b.layer(k), origin_mm) for k in layers[at].tolist()]
+
+
+def total_mm2(sheets: Sequence[Sheet]) -> float:
+    """Area of the symmetric difference on all sheets, mm2."""
+    return float(sum(sheet.difference_mm2 for sheet in sheets))
+
+
 # -- Causes in whole layers: dropped, duplicated, or taken from another height of the stack --------------------
 
-
 FARTHEST_SHIFT = 5  # largest shift of a stack, in layers, that is recognised
-# Two layers are the same if they differ by less than this share of the difference to be explained
-SAME_SHARE = 0.02
+SAME_SHARE = 0.02  # layers that differ by less than this share of the difference to be explained are the same
 
 
 def layer_causes(
@@ -83,106 +162,81 @@ def layer_causes(
 ) -> tuple[list[Cause], list[Sheet]]:
     """Causes in whole layers, and the sheets that these do not explain.
 
-    `differing` are the layers on which the two disagree; `areas`, mm2, and closed `rings` (2, L) those of every layer of both, the
-    one that differs first.
+    The two disagree on the layers `differing`; `areas`, mm2, and closed `rings` (2, L) are of every layer of both, the one that
+    differs first.
     """
+
+    def share_of(some: Ints) -> float:
+        """Share of the solid area of the layers that differ."""
+        which = (rings[1] > 0).astype(np.int64), np.arange(rings.shape[1])
+        solid = np.abs(areas)[which]
+        whole = float(solid[differing].sum())
+        return float(solid[some].sum()) / whole if whole > 0.0 else 0.0
+
     causes: list[Cause] = []
-    left = list(sheets)
     empty = differing[(rings[0, differing] == 0) & (rings[1, differing] > 0)]
     if empty.size:
-        share = _share(areas, rings, differing, empty)
         solid = int(np.count_nonzero(rings[1] > 0))
         text = f"dropped layers: {empty.size} of {solid} are empty, the first is layer {int(empty[0]) + 1}"
-        causes.append(Cause(DROPPED, float(empty.size), "layers", text, share, frozenset(empty.tolist())))
-        gone = set(empty.tolist())
-        left = [sheet for sheet in left if sheet.layer not in gone]
+        gone = frozenset(empty.tolist())
+        causes.append(Cause(DROPPED, float(empty.size), "layers", text, share_of(empty), gone))
+    left = [sheet for sheet in sheets if sheet.layer not in empty]
     rest = np.setdiff1d(differing, empty)
-    share = _share(areas, rings, differing, rest)
     if not left or not rest.size:
         return causes, left
     # Duplicated layers are also shifted ones: if both explain as much, they are called duplicated.
-    found = [c for c in (_duplicated(left, areas, rings, rest, b), _shifted(left, areas.shape[1], b)) if c]
-    if not found:
+    both = _duplicated(left, areas[0], rings[0], rest, b), _shifted(left, rings.shape[1], b)
+    cause = max((c for c in both if c), key=lambda c: c.share, default=None)
+    if cause is None:
         return causes, left
-    cause = max(found, key=lambda c: c.share)
-    causes.append(cause.scaled(share))
+    causes.append(cause.scaled(share_of(rest)))
     return causes, [s for s in left if cause.layers is not None and s.layer not in cause.layers]
-
-
-def _share(areas: Floats, rings: Ints, differing: Ints, some: Ints) -> float:
-    """Share of the solid area of the layers that differ that lies in some of these layers."""
-
-    def weight(layers: Ints) -> float:
-        return float(np.where(rings[1, layers] > 0, np.abs(areas[1, layers]), np.abs(areas[0, layers])).sum())
-
-    whole = weight(differing)
-    return weight(some) / whole if whole > 0.0 else 0.0
 
 
 def _shifted(sheets: Sequence[Sheet], count: int, b: Reader) -> Cause | None:
     """Layers that equal those of the other slicer some layers higher or lower."""
-    before = sum(sheet.difference_mm2 for sheet in sheets)
-    best = (SAME_SHARE * before, 0)
-    for shift in sorted(range(-FARTHEST_SHIFT, FARTHEST_SHIFT + 1), key=abs):
-        if not shift:
-            continue
+    before = total_mm2(sheets)
+    least, best = SAME_SHARE * before, 0
+    for shift in sorted(range(-FARTHEST_SHIFT, FARTHEST_SHIFT + 1), key=abs)[1:]:
         after = 0.0
         for sheet in sheets:
             k = min(max(sheet.layer + shift, 0), count - 1)
-            after += apart_mm2(sheet.outline_a, outline(b.layer(k), 0, sheet.origin_mm))
-            if after >= best[0]:
+            after += sheet.apart_mm2(b.layer(k))
+            if after >= least:
                 break
-        if after < best[0]:
-            best = (after, shift)
-    if not best[1] or not before > 0.0:
+        else:
+            least, best = after, shift
+    if not best or not before > 0.0:
         return None
-    way = "higher" if best[1] > 0 else "lower"
-    text = f"shifted layers: each is the one {abs(best[1])} {way}"
-    return Cause(SHIFTED, float(best[1]), "layers", text, 1.0 - best[0] / before)
+    text = f"shifted layers: each is the one {abs(best)} {'higher' if best > 0 else 'lower'}"
+    return Cause(SHIFTED, float(best), "layers", text, 1.0 - least / before)
 
 
 def _duplicated(
     sheets: Sequence[Sheet], areas: Floats, rings: Ints, differing: Ints, b: Reader
 ) -> Cause | None:
-    """Layers that repeat a neighbour although they do not in the other slicer's stack."""
-    for step, which in ((-1, "below"), (1, "above")):
-        source = _sources(areas[0], rings[0], step)
+    """Layers that repeat a neighbour although they do not in the other slicer's stack; areas and rings (L,) by layer."""
+    equal = np.isclose(areas[1:], areas[:-1], rtol=1e-12, atol=0.0) & (rings[1:] == rings[:-1])
+    every = np.arange(areas.size)
+    # First layer, from below or from above, of the run of equal ones in which each lies.
+    lowest = np.maximum.accumulate(np.where(np.append(False, equal), 0, every))
+    highest = np.minimum.accumulate(np.where(np.append(equal, False), areas.size, every)[::-1])[::-1]
+    for source, which in ((lowest, "below"), (highest, "above")):
         again = differing[source[differing] != differing]
-        if not again.size:
-            continue
-        concerned = set(again.tolist())
-        seen = [sheet for sheet in sheets if sheet.layer in concerned]
-        before = total_mm2(seen)
-        after = sum(
-            apart_mm2(s.outline_a, outline(b.layer(int(source[s.layer])), 0, s.origin_mm)) for s in seen
-        )
-        if seen and after <= SAME_SHARE * before:
+        seen = [sheet for sheet in sheets if sheet.layer in again]
+        apart = [sheet.apart_mm2(b.layer(int(source[sheet.layer]))) for sheet in seen]
+        if seen and sum(apart) <= SAME_SHARE * total_mm2(seen):
             text = f"duplicated layers: {again.size} are the layer {which} again, the first is layer {int(again[0]) + 1}"
-            share = again.size / differing.size
-            return Cause(DUPLICATED, float(again.size), "layers", text, share, frozenset(concerned))
+            share, layers = again.size / differing.size, frozenset(again.tolist())
+            return Cause(DUPLICATED, float(again.size), "layers", text, share, layers)
     return None
-
-
-def _sources(areas: Floats, rings: Ints, step: int) -> Ints:
-    """First layer, from below or from above, of the run of equal ones in which each lies, (L,)."""
-    count = areas.size
-    order = np.arange(count)[::-step]
-    new = np.ones(count, np.bool_)
-    one, before = order[1:], order[:-1]
-    new[1:] = ~(np.isclose(areas[one], areas[before], rtol=1e-12, atol=0.0) & (rings[one] == rings[before]))
-    source = np.empty(count, np.int64)
-    source[order] = order[np.maximum.accumulate(np.where(new, np.arange(count), 0))]
-    return source
 
 
 # -- Causes in whole rings: missing or extra ones, and those with the wrong direction --------------------------
 
-
-# Least likeness of two slicers' rings to be the same one: overlap of their boxes times ratio of their areas
-LEAST_LIKENESS = 0.25
+LEAST_LIKENESS = 0.25  # least overlap of boxes times ratio of areas for two rings to be the same
 MOST_MATCHED = 3000  # most rings of a layer that are matched, as every one is compared with every other
-# Nesting depth of a ring inside a hole: from here on a slicer derives the direction from the nesting
-DEEP = 2
+DEEP = 2  # nesting depth inside a hole: from here on a slicer derives the direction from the nesting
 
 
 def ring_causes(sheets: Sequence[Sheet], least_share: float) -> tuple[list[Cause], list[Sheet]]:
@@ -194,21 +248,16 @@ def ring_causes(sheets: Sequence[Sheet], least_share: float) -> tuple[list[Cause
         if not whole > 0.0:
             break
         for kind in kinds:
-            counts = [len(rings.get(kind, ())) for rings in differing]
-            if not any(counts):
+            wrong = [rings[kind].tolist() if kind in rings else [] for rings in differing]
+            if not any(wrong):
                 continue
-            mended = [
-                _mended(kind, sheet, rings[kind].tolist()) if count else sheet
-                for sheet, rings, count in zip(sheets, differing, counts, strict=True)
-            ]
+            mended = [_mended(kind, sheet, rings) for sheet, rings in zip(sheets, wrong, strict=True)]
             share = (total_mm2(sheets) - total_mm2(mended)) / whole
             if share < least_share:
                 continue
-            mean = sum(counts) / np.count_nonzero(counts)
-            text = f"{kind}: {mean:.3g} a layer"
-            if kind in (ORIENTATION, NESTING):
-                deep = "rings nested in a hole" if kind == NESTING else "rings"
-                text = f"{kind}: {mean:.3g} {deep} a layer run the wrong way round"
+            mean = sum(map(len, wrong)) / sum(map(bool, wrong))
+            turned = {ORIENTATION: " rings", NESTING: " rings nested in a hole"}.get(kind, "")
+            text = f"{kind}: {mean:.3g}{turned} a layer{' run the wrong way round' if turned else ''}"
             causes.append(Cause(kind, mean, "rings", text, share))
             sheets, differing = mended, [match(sheet) for sheet in mended]
     return causes, list(sheets)
@@ -224,11 +273,10 @@ def match(sheet: Sheet) -> dict[str, Ints]:
     if max(own.size, theirs.size) > MOST_MATCHED:
         return {}
     pairs = _pairs(_likeness(a, own, b, theirs))
-    missing = np.setdiff1d(theirs, theirs[pairs[:, 1]])
-    extra = np.setdiff1d(own, own[pairs[:, 0]])
+    first, second = own[pairs[:, 0]], theirs[pairs[:, 1]]
+    missing, extra = np.setdiff1d(theirs, second), np.setdiff1d(own, first)
     if missing.size and extra.size:
         missing = extra = np.zeros(0, np.int64)
-    first, second = own[pairs[:, 0]], theirs[pairs[:, 1]]
     turned = a.ring_areas[first] * b.ring_areas[second] < 0.0
     # If rings outside of holes are turned as well, the nesting is not the cause.
     nested = bool((_depths(b)[second[turned]] >= DEEP).all())
@@ -251,22 +299,20 @@ def _likeness(a: Layers, own: Ints, b: Layers, theirs: Ints) -> Floats:
     union = size_a + size_b - common
     area_a, area_b = np.abs(a.ring_areas[own])[:, None], np.abs(b.ring_areas[theirs])[None]
     ratio = np.minimum(area_a, area_b) / np.maximum(np.maximum(area_a, area_b), np.finfo(np.float64).tiny)
-    like: Floats = np.where(union > 0.0, common / np.where(union > 0.0, union, 1.0), 0.0) * ratio
-    return like
+    return np.asarray(np.divide(common, union, out=np.zeros_like(union), where=union > 0.0) * ratio)
 
 
 def _pairs(like: Floats) -> Ints:
     """Pairs (n, 2) of rings, the most alike first, each ring once."""
     rows, columns = np.nonzero(like >= LEAST_LIKENESS)
     order = np.argsort(-like[rows, columns], kind="stable")
-    used_a, used_b = np.zeros(like.shape[0], np.bool_), np.zeros(like.shape[1], np.bool_)
-    found = []
-    for k in order.tolist():
-        i, j = int(rows[k]), int(columns[k])
-        if not (used_a[i] or used_b[j]):
-            used_a[i] = used_b[j] = True
-            found.append((i, j))
-    return np.array(found, np.int64).reshape(-1, 2)
+    pairs: dict[int, int] = {}
+    partners = set[int]()
+    for i, j in zip(rows[order].tolist(), columns[order].tolist(), strict=True):
+        if i not in pairs and j not in partners:
+            pairs[i] = j
+            partners.add(j)
+    return np.array(list(pairs.items()), np.int64).reshape(-1, 2)
 
 
 def _depths(layers: Layers) -> Ints:
@@ -281,9 +327,11 @@ def _depths(layers: Layers) -> Ints:
 
 def _mended(kind: str, sheet: Sheet, wrong: Sequence[int]) -> Sheet:
     """Return the sheet with these rings corrected."""
+    if not wrong:
+        return sheet
     own = np.flatnonzero(sheet.a.closed).tolist()
     if kind in (MISSING_OUTER, MISSING_HOLE):
-        return sheet.with_rings([*(sheet.a.ring(r) for r in own), *(sheet.b.ring(r) for r in wrong)])
+        return sheet.with_rings([*map(sheet.a.ring, own), *map(sheet.b.ring, wrong)])
     if kind in (EXTRA_OUTER, EXTRA_HOLE):
         return sheet.with_rings([sheet.a.ring(r) for r in own if r not in wrong])
     return sheet.with_rings([sheet.a.ring(r)[::-1] if r in wrong else sheet.a.ring(r) for r in own])

@@ -7,7 +7,7 @@ from ebamcheck.curves.bezier import BezierSpans
 from ebamcheck.curves.columns import Curves, Piece
 from ebamcheck.curves.deviation import fit_deviation
 from ebamcheck.curves.fitting import LIFTED, METHODS, fit, fit_for_program
-from ebamcheck.curves.splitting import ARC, LINE, SPLINE
+from ebamcheck.curves.runs import ARC, LINE, SPLINE
 
 __all__ = [
     "ARC",

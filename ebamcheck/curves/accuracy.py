@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import math
-from typing import Literal, NamedTuple
+from collections.abc import Sequence
+from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from ebamcheck.curves.columns import Curves, SampledRings
 from ebamcheck.errors import SettingsError
 from ebamcheck.geometry import rings
 from ebamcheck.geometry.nearest import nearest, segments_along, signed_distance, tree_over
-from ebamcheck.kernels import Bools, Floats, Ints, kernel
+from ebamcheck.kernels import Floats, Ints, kernel
 from ebamcheck.layers.stack import Layers
 from ebamcheck.threads import run_blocks
 
@@ -22,23 +23,10 @@ SAMPLES = 4000  # Places per ring at which the normal distance is taken, equally
 CURVE_TOLERANCE_MM = 1e-5
 """Chord error of the polylines as which curves are measured: far below any error that matters."""
 
-NO_ERROR_MM = 1e-9
-"""Errors below this are rounding of coordinates a metre from the origin: there is nothing to reduce."""
-
-SAME_HEIGHT_MM = 1e-6  # Layers of two stacks belong together if their heights differ by no more than this
 LAYERS_A_STEP = 32  # Layers sampled at a time; bounds the working memory
 
-MEASURES = ("min", "max", "sum", "squares", "absolute")
-"""Statistics kept of the error along one ring: enough to compute every figure of a layer."""
-
-
-class RingErrors(NamedTuple):
-    """Errors of pairs of rings."""
-
-    measured: Ints  # (n,) ring of the measured stack
-    reference: Ints  # (n,) ring of the reference that it is paired with
-    polar: Floats  # (n, 5) MEASURES of the polar error; NaN where it is not defined
-    normal: Floats  # (n, 5) MEASURES of the normal distance
+MEASURES = ("min", "max", "squares", "absolute")
+"""Statistics kept of the errors along one ring: enough to compute every figure of a layer; sums but for the first two."""
 
 
 def contour_error(
@@ -57,50 +45,70 @@ def contour_error(
     distance is taken from `samples` equally spaced places of the measured ring to the nearest point of
     the reference ring, for holes and any other shape too. Both are positive where there is too much metal.
 
-    Parameters
-    ----------
-    measured
-        What is judged.
-    reference
-        A far finer tessellation of the same part, or an analytic model, cut at the same heights.
-    rays, samples
-        Directions and places per ring.
-    by
-        One row per layer, or one row per pair of rings.
-
-    Returns
-    -------
-    DataFrame with the columns ``layer, height_mm, rings`` (pairs), ``unmatched`` (closed rings of
+    The reference is a far finer tessellation of the same part, or an analytic model. There is one row a layer, or one a pair of
+    rings, with the columns ``layer, height_mm, rings`` (pairs), ``unmatched`` (closed rings of
     either side without a partner), ``outer_rings, polar_rings`` (outer pairs, and those with a polar
     error), ``polar_defined`` (all of them), ``polar_min_mm, polar_max_mm, polar_rms_mm,
     polar_mean_abs_mm, polar_max_abs_mm``, the same of ``normal_``, and ``samples``. By ring, the columns ``ring``
     and ``reference_ring`` take the place of the counts. Figures without data are NaN.
 
-    Raises
-    ------
-    SettingsError
-        If the heights differ, or a count is not positive.
+    Raises :class:`SettingsError` if the heights differ, or a count is not positive.
     """
     _check(measured, reference, rays, samples)
-    beams = (np.arange(rays, dtype=np.float64) + 0.5) * (2.0 * math.pi / rays)
+    directions = (np.arange(rays, dtype=np.float64) + 0.5) * (2.0 * math.pi / rays)
 
-    def work(start: int, stop: int) -> list[RingErrors]:
-        steps = range(start, stop, LAYERS_A_STEP)
-        return [
-            _block_errors(measured, reference, a, min(a + LAYERS_A_STEP, stop), beams, samples) for a in steps
-        ]
+    def work(start: int, stop: int) -> list[tuple[Ints, Floats]]:
+        steps = [(a, min(a + LAYERS_A_STEP, stop)) for a in range(start, stop, LAYERS_A_STEP)]
+        return [_block_errors(measured, reference, a, b, directions, samples) for a, b in steps]
 
-    blocks = [errors for block in run_blocks(work, len(measured)) for errors in block]
-    if blocks:
-        errors = RingErrors(*(np.concatenate(columns) for columns in zip(*blocks, strict=True)))
-    else:
-        none = np.zeros(0, np.int64)
-        errors = RingErrors(none, none, np.zeros((0, len(MEASURES))), np.zeros((0, len(MEASURES))))
-    layer = measured.ring_layer[errors.measured]
-    outer = _orientation(measured)[errors.measured] > 0
+    blocks = [found for block in run_blocks(work, len(measured)) for found in block]
+    ring, partner = np.concatenate([pairs for pairs, _ in blocks] or [np.zeros((0, 2), np.int64)]).T
+    polar, normal = np.concatenate([e for _, e in blocks] or [np.zeros((0, 2, len(MEASURES)))]).swapaxes(0, 1)
+    layer, outer = measured.ring_layer[ring], _orientation(measured)[ring] > 0
+    defined = ~np.isnan(polar[:, 0])
+    columns: dict[str, NDArray[Any]]
     if by == "ring":
-        return _by_ring(measured, errors, layer, outer, rays, samples)
-    return _by_layer(measured, reference, errors, layer, outer, rays, samples)
+        counts = np.full(ring.size, rays), np.full(ring.size, samples)
+        columns = {
+            "layer": layer,
+            "height_mm": measured.heights[layer],
+            "ring": ring,
+            "reference_ring": partner,
+            "outer": outer,
+            "polar_defined": defined,
+        }
+    else:
+        count = len(measured)
+        pairs, outers, polars = (np.bincount(layer[of], minlength=count) for of in (..., outer, defined))
+        closed = [np.bincount(s.ring_layer[s.closed], minlength=count) for s in (measured, reference)]
+        polar = _layer_sums(polar[defined], layer[defined], count)
+        normal = _layer_sums(normal, layer, count)
+        counts = polars * rays, pairs * samples
+        columns = {
+            "layer": np.arange(count),
+            "height_mm": measured.heights,
+            "rings": pairs,
+            "unmatched": closed[0] + closed[1] - 2 * pairs,
+            "outer_rings": outers,
+            "polar_rings": polars,
+            "polar_defined": (polars == outers) & (outers > 0),
+        }
+    for kind, sums, places in (("polar", polar, counts[0]), ("normal", normal, counts[1])):
+        low, high, squares, absolute = sums.T
+        columns[f"{kind}_min_mm"], columns[f"{kind}_max_mm"] = low, high
+        columns[f"{kind}_rms_mm"] = np.sqrt(squares / np.maximum(places, 1))
+        columns[f"{kind}_mean_abs_mm"] = absolute / np.maximum(places, 1)
+        columns[f"{kind}_max_abs_mm"] = np.maximum(np.abs(low), np.abs(high))
+    return pd.DataFrame({**columns, "samples": counts[1]})
+
+
+def _layer_sums(sums: Floats, layer: Ints, count: int) -> Floats:
+    """:data:`MEASURES` of the rings, combined by layer; NaN for a layer without rings."""
+    result = np.tile([np.inf, -np.inf, 0.0, 0.0], (count, 1))
+    for column, combine in enumerate((np.minimum, np.maximum, np.add, np.add)):
+        combine.at(result[:, column], layer, sums[:, column])
+    result[np.bincount(layer, minlength=count) == 0] = np.nan
+    return result
 
 
 def error_reduction(before: pd.DataFrame, after: pd.DataFrame) -> pd.Series:
@@ -118,7 +126,8 @@ def error_reduction(before: pd.DataFrame, after: pd.DataFrame) -> pd.Series:
         both = (before[f"{kind}_rms_mm"].notna() & after[f"{kind}_rms_mm"].notna()).to_numpy()
         old, new = (_totals(table[both], kind, weight) for table in (before, after))
         for name in old:
-            found[f"{kind}_{name}"] = 1.0 - new[name] / old[name] if old[name] > NO_ERROR_MM else math.nan
+            # Errors of 1e-9 mm are rounding of coordinates a metre from the origin.
+            found[f"{kind}_{name}"] = 1.0 - new[name] / old[name] if old[name] > 1e-9 else math.nan
     return pd.Series(found, name="reduction")
 
 
@@ -136,93 +145,15 @@ def _totals(table: pd.DataFrame, kind: str, weight: str) -> dict[str, float]:
     }
 
 
-# -- tables ----------------------------------------------------------------------------------------
-
-
-def _by_ring(
-    measured: Layers | Curves, errors: RingErrors, layer: Ints, outer: Bools, rays: int, samples: int
-) -> pd.DataFrame:
-    table = pd.DataFrame(
-        {
-            "layer": layer,
-            "height_mm": measured.heights[layer],
-            "ring": errors.measured,
-            "reference_ring": errors.reference,
-            "outer": outer,
-            "polar_defined": ~np.isnan(errors.polar[:, 0]),
-        }
-    )
-    for kind, sums, count in (("polar", errors.polar, rays), ("normal", errors.normal, samples)):
-        _add_figures(table, kind, sums, np.full(len(table), count))
-    table["samples"] = samples
-    return table
-
-
-def _by_layer(
-    measured: Layers | Curves,
-    reference: Layers | Curves,
-    errors: RingErrors,
-    layer: Ints,
-    outer: Bools,
-    rays: int,
-    samples: int,
-) -> pd.DataFrame:
-    count = len(measured)
-    defined = ~np.isnan(errors.polar[:, 0])
-    pairs = np.bincount(layer, minlength=count)
-    outers = np.bincount(layer[outer], minlength=count)
-    polars = np.bincount(layer[defined], minlength=count)
-    closed = sum(
-        np.bincount(stack.ring_layer[stack.closed], minlength=count) for stack in (measured, reference)
-    )
-    table = pd.DataFrame(
-        {
-            "layer": np.arange(count),
-            "height_mm": measured.heights,
-            "rings": pairs,
-            "unmatched": closed - 2 * pairs,
-            "outer_rings": outers,
-            "polar_rings": polars,
-            "polar_defined": (polars == outers) & (outers > 0),
-        }
-    )
-    _add_figures(table, "polar", _layer_sums(errors.polar[defined], layer[defined], count), polars * rays)
-    _add_figures(table, "normal", _layer_sums(errors.normal, layer, count), pairs * samples)
-    table["samples"] = pairs * samples
-    return table
-
-
-def _layer_sums(sums: Floats, layer: Ints, count: int) -> Floats:
-    """:data:`MEASURES` of the rings, combined by layer; NaN for a layer without rings."""
-    result = np.zeros((count, len(MEASURES)))
-    result[:, 0], result[:, 1] = np.inf, -np.inf
-    np.minimum.at(result[:, 0], layer, sums[:, 0])
-    np.maximum.at(result[:, 1], layer, sums[:, 1])
-    for column in range(2, len(MEASURES)):
-        result[:, column] = np.bincount(layer, sums[:, column], minlength=count)
-    result[np.bincount(layer, minlength=count) == 0] = np.nan
-    return result
-
-
-def _add_figures(table: pd.DataFrame, kind: str, sums: Floats, counts: Ints) -> None:
-    divisor = np.maximum(counts, 1)
-    table[f"{kind}_min_mm"] = sums[:, 0]
-    table[f"{kind}_max_mm"] = sums[:, 1]
-    table[f"{kind}_rms_mm"] = np.sqrt(sums[:, 3] / divisor)
-    table[f"{kind}_mean_abs_mm"] = sums[:, 4] / divisor
-    table[f"{kind}_max_abs_mm"] = np.maximum(np.abs(sums[:, 0]), np.abs(sums[:, 1]))
-
-
 # -- one block of layers ---------------------------------------------------------------------------
 
 
 def _check(measured: Layers | Curves, reference: Layers | Curves, rays: int, samples: int) -> None:
     if len(measured) != len(reference):
-        raise SettingsError(
-            f"{len(measured)} layers cannot be measured against {len(reference)}: cut both at the same heights"
-        )
+        counts = f"{len(measured)} layers cannot be measured against {len(reference)}"
+        raise SettingsError(f"{counts}: cut both at the same heights")
     apart = np.abs(measured.heights - reference.heights)
-    if len(measured) and apart.max() > SAME_HEIGHT_MM:
+    if len(measured) and apart.max() > 1e-6:  # mm
         k = int(np.argmax(apart))
         raise SettingsError(
             f"layer {k + 1} lies at {measured.heights[k]:g} mm and its reference at {reference.heights[k]:g} mm: "
@@ -243,47 +174,35 @@ def _orientation(stack: Layers | Curves) -> Floats:
     """Sign of the area of each ring; 0 for open paths."""
     if isinstance(stack, Layers):
         return np.sign(stack.ring_areas)
-    ends = SampledRings(
-        stack.control, stack.control_starts[stack.ring_starts]
-    )  # the control polygon turns the way its curve does
-    return np.sign(rings.signed_areas(ends.points, ends.ring_starts, stack.closed))
+    # The control polygon turns the way its curve does.
+    return np.sign(rings.signed_areas(stack.control, stack.control_starts[stack.ring_starts], stack.closed))
 
 
 def _block_errors(
     measured: Layers | Curves, reference: Layers | Curves, start: int, stop: int, theta: Floats, samples: int
-) -> RingErrors:
+) -> tuple[Ints, Floats]:
+    """Pairs (n, 2) of rings of both stacks, and the :data:`MEASURES` (n, 2, 4) of their polar and normal errors."""
     ours, theirs = measured.block(start, stop), reference.block(start, stop)
     a, b = _polylines(ours), _polylines(theirs)
-    mine, partner = _pairs(
-        rings.bounds(a.points, a.ring_starts),
-        rings.bounds(b.points, b.ring_starts),
-        _orientation(ours),
-        _orientation(theirs),
-        ours.layer_starts,
-        theirs.layer_starts,
-    )
-    polar, normal = np.full((2, mine.size, len(MEASURES)), np.nan)
-    outer = _orientation(ours) > 0
-    for k, (i, j) in enumerate(zip(mine.tolist(), partner.tolist(), strict=True)):
+    boxes, others = rings.bounds(a.points, a.ring_starts), rings.bounds(b.points, b.ring_starts)
+    sign = _orientation(ours)
+    pairs = _pairs(boxes, others, (sign, _orientation(theirs)), (ours.layer_starts, theirs.layer_starts))
+    errors = np.full((len(pairs), 2, len(MEASURES)), np.nan)
+    for k, (i, j) in enumerate(pairs.tolist()):
         ring = a.points[a.ring_starts[i] : a.ring_starts[i + 1]]
         other = b.points[b.ring_starts[j] : b.ring_starts[j + 1]]
-        if outer[i]:
+        if sign[i] > 0:
             centre = 0.5 * (other.min(axis=0) + other.max(axis=0))
-            polar[k] = _measures(_ray_radii(ring, centre, theta) - _ray_radii(other, centre, theta))
-        normal[k] = _measures(_normal_distances(ring, samples, other))
-    return RingErrors(
-        mine + measured.layer_starts[start], partner + reference.layer_starts[start], polar, normal
-    )
+            errors[k, 0] = _measures(polar_radius(ring, centre, theta) - polar_radius(other, centre, theta))
+        errors[k, 1] = _measures(_normal_distances(ring, samples, other))
+    return pairs + np.array([measured.layer_starts[start], reference.layer_starts[start]]), errors
 
 
-def _pairs(
-    boxes: Floats, others: Floats, sign: Floats, other_sign: Floats, layer_starts: Ints, other_starts: Ints
-) -> tuple[Ints, Ints]:
-    """Pair closed rings of one direction whose boxes overlap, those with the nearest boxes first."""
+def _pairs(boxes: Floats, others: Floats, signs: Sequence[Floats], starts: Sequence[Ints]) -> Ints:
+    """Pairs (n, 2) of closed rings of one direction whose boxes overlap, those with the nearest boxes first."""
     found: list[tuple[int, int]] = []
-    for a, b, c, d in zip(
-        layer_starts[:-1], layer_starts[1:], other_starts[:-1], other_starts[1:], strict=True
-    ):
+    sign, other_sign = signs
+    for (a, b), (c, d) in zip(*(np.column_stack([s[:-1], s[1:]]) for s in starts), strict=True):
         p, q = boxes[a:b, None], others[None, c:d]
         fits = (sign[a:b, None] != 0.0) & (sign[a:b, None] == other_sign[None, c:d])
         fits &= ~((p[..., :2] > q[..., 2:]) | (q[..., :2] > p[..., 2:])).any(axis=2)
@@ -295,13 +214,12 @@ def _pairs(
                 taken.add(one)
                 given.add(other)
                 found.append((one, other))
-    rows = np.array(found, np.int64).reshape(-1, 2)
-    return rows[:, 0], rows[:, 1]
+    return np.array(found, np.int64).reshape(-1, 2)
 
 
 def _measures(errors: Floats) -> list[float]:
     """The :data:`MEASURES` of some errors; NaN if one of them is."""
-    return [errors.min(), errors.max(), errors.sum(), (errors * errors).sum(), np.abs(errors).sum()]
+    return [errors.min(), errors.max(), (errors * errors).sum(), np.abs(errors).sum()]
 
 
 @kernel
@@ -331,18 +249,9 @@ def _normal_distances(ring: Floats, count: int, reference: Floats) -> Floats:
 # -- Polar radius of a contour about a centre, by the exact crossing of ray and segment (paper, section 5.2) ---
 
 
-NEARLY_HALF_TURN_RAD = 3.1
-"""A segment that spans a larger angle passes so near to the centre that every ray is tested on it."""
-
-ANGLE_MARGIN_RAD = 1e-9
-"""Rays this far beyond the ends of a segment are tested too: angles are rounded, crossings are not."""
-
-
 def polar_radius(ring: ArrayLike, centre: ArrayLike, theta_rad: ArrayLike) -> Floats:
     """Distance (m,), mm, from `centre` at which a ray in each direction (m,), counter-clockwise from +x, meets a closed ring (n,
-    2).
-
-    NaN where a ray meets the ring never or more than once.
+    2); NaN where a ray meets the ring never or more than once.
     """
     points = np.asarray(ring, dtype=np.float64).reshape(-1, 2)
     middle = np.asarray(centre, dtype=np.float64).reshape(-1)
@@ -352,14 +261,10 @@ def polar_radius(ring: ArrayLike, centre: ArrayLike, theta_rad: ArrayLike) -> Fl
         )
     theta = np.mod(np.asarray(theta_rad, dtype=np.float64).reshape(-1), 2.0 * math.pi)
     order = np.argsort(theta, kind="stable")
+    theta = theta[order]
     radii = np.empty(theta.size)
-    radii[order] = _ray_radii(points, middle, theta[order])
+    radii[order] = _radii_of(points - middle, theta, np.cos(theta), np.sin(theta))
     return radii
-
-
-def _ray_radii(ring: Floats, centre: Floats, theta: Floats) -> Floats:
-    """As :func:`polar_radius`, in sorted directions (m,), 0 .. 2 pi."""
-    return _radii_of(ring - centre, theta, np.cos(theta), np.sin(theta))
 
 
 @kernel
@@ -370,6 +275,7 @@ def _radii_of(ring: Floats, theta: Floats, cos: Floats, sin: Floats) -> Floats:
     as left: a ray through a vertex thus counts once.
     """
     turn = 2.0 * math.pi
+    margin = 1e-9  # rad: rays this far beyond the ends are tested, too; angles are rounded, crossings are not
     radii, crossed = np.empty(len(theta)), np.zeros(len(theta), np.int64)
     px, py = ring[-1, 0], ring[-1, 1]
     begin = math.atan2(py, px)
@@ -379,7 +285,7 @@ def _radii_of(ring: Floats, theta: Floats, cos: Floats, sin: Floats) -> Floats:
         low, high = min(begin, end), max(begin, end)
         if high - low > math.pi:
             low, high = high, low + turn
-        wide = high - low > NEARLY_HALF_TURN_RAD
+        wide = high - low > 3.1  # the segment passes so near to the centre that every ray is tested on it
         # The directions run from 0 to 2 pi, low from -pi to pi.
         shift = 0.0 if wide else -turn
         while shift <= turn:
@@ -387,12 +293,12 @@ def _radii_of(ring: Floats, theta: Floats, cos: Floats, sin: Floats) -> Floats:
             if not wide:
                 while first < last:
                     middle = (first + last) // 2
-                    if theta[middle] < low + shift - ANGLE_MARGIN_RAD:
+                    if theta[middle] < low + shift - margin:
                         first = middle + 1
                     else:
                         last = middle
             for k in range(first, len(theta)):
-                if not wide and theta[k] > high + shift + ANGLE_MARGIN_RAD:
+                if not wide and theta[k] > high + shift + margin:
                     break
                 c, s = cos[k], sin[k]
                 if (c * py - s * px >= 0.0) != (c * qy - s * qx >= 0.0):

@@ -9,11 +9,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ebamcheck.curves.splitting import ARC, LINE, SPLINE
+from ebamcheck.columns_file import starts_of
+from ebamcheck.curves.runs import ARC, LINE, SPLINE
+from ebamcheck.geometry.raster import each_of
 from ebamcheck.kernels import Bools, Floats, Ints, kernel
-
-QUADRATURE_NODES, QUADRATURE_WEIGHTS = np.polynomial.legendre.leggauss(8)
-"""Gauss-Legendre rule for arc lengths; exact to rounding on the spans of a smooth fit."""
 
 LARGEST_SPAN_RAD = math.radians(5.0)
 """Largest sweep of one cubic span of an arc: the span leaves the circle by less than 1e-11 of the radius."""
@@ -46,9 +45,8 @@ class Arcs(NamedTuple):
     def at(self, share: Floats) -> Floats:
         """Points (n, 2) at a share 0 .. 1 of each sweep."""
         angle = self.start + share * self.sweep
-        return np.asarray(
-            self.centre + self.radius[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
-        )
+        away = self.radius[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
+        return np.asarray(self.centre + away)
 
 
 def arcs_through(points: Floats) -> Arcs:
@@ -62,9 +60,8 @@ def arcs_through(points: Floats) -> Arcs:
     centre = points[:, 1] + off
     start, end = (np.arctan2(*(points[:, k] - centre).T[::-1]) for k in (0, 2))
     sweep = end - start
-    turn = np.where(
-        twice < 0.0, 2.0 * np.pi, -2.0 * np.pi
-    )  # the middle to the right of the chord: counter-clockwise
+    # The middle to the right of the chord: counter-clockwise.
+    turn = np.where(twice < 0.0, 2.0 * np.pi, -2.0 * np.pi)
     sweep += np.where(sweep * turn <= 0.0, turn, 0.0)
     return Arcs(
         np.where(straight[:, None], np.inf, centre),
@@ -75,7 +72,7 @@ def arcs_through(points: Floats) -> Arcs:
 
 
 def span_counts(kind: NDArray[np.uint8], control_starts: Ints, knots: Floats, knot_starts: Ints) -> Ints:
-    """Number of NC blocks of each piece, (P,): non-empty knot spans of a spline, segments of a line, one for an arc."""
+    """Number of NC blocks of each piece, (P,): knot spans of a spline, segments of a line, one for an arc."""
     counts: Ints = np.maximum(np.diff(control_starts) - 1, 0)
     counts[kind == ARC] = 1
     curved = np.flatnonzero(kind == SPLINE)
@@ -93,32 +90,27 @@ def span_points(
     arc = np.flatnonzero(kind == ARC)
     arcs = arcs_through(control[control_starts[arc][:, None] + np.arange(3)])
     counts[arc] = np.maximum(1, np.ceil(np.abs(arcs.sweep) / LARGEST_SPAN_RAD - 1e-9))
-    starts = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
-    piece = np.repeat(np.arange(kind.size), counts)
-    place = np.arange(piece.size) - starts[piece]
+    starts = starts_of(counts)
+    piece, place = each_of(counts)
     B, interval = np.empty((piece.size, 4, 2)), np.empty(piece.size)
     lines = np.flatnonzero(kind[piece] == LINE)
-    p = control[control_starts[piece[lines]] + place[lines]]
-    q = control[control_starts[piece[lines]] + place[lines] + 1]
-    B[lines, 0], B[lines, 1], B[lines, 2], B[lines, 3] = p, p + (q - p) / 3.0, p + (q - p) * (2.0 / 3.0), q
+    row = control_starts[piece[lines]] + place[lines]
+    p, q = control[row], control[row + 1]
+    B[lines] = np.stack([p, p + (q - p) / 3.0, p + (q - p) * (2.0 / 3.0), q], axis=1)
     interval[lines] = np.hypot(*(q - p).T)
     splines = np.flatnonzero(kind[piece] == SPLINE)
-    B[splines], interval[splines] = _spline_spans(
-        control, control_starts[piece[splines]], knots, knot_starts[piece[splines]]
-    )
+    of = piece[splines]
+    B[splines], interval[splines] = _spline_spans(control, control_starts[of], knots, knot_starts[of])
     round_ = np.flatnonzero(kind[piece] == ARC)
-    which = np.searchsorted(arc, piece[round_])
-    B[round_], interval[round_] = _arc_spans(
-        Arcs(*(column[which] for column in arcs)),
-        control[control_starts[piece[round_]][:, None] + np.arange(3)],
-        place[round_],
-        counts[piece[round_]],
-    )
+    of = piece[round_]
+    arcs = Arcs(*(column[np.searchsorted(arc, of)] for column in arcs))
+    points = control[control_starts[of][:, None] + np.arange(3)]
+    B[round_], interval[round_] = _arc_spans(arcs, points, place[round_], counts[of])
     # The ends of curves are those given, bit for bit, and their spans meet.
-    curved = kind[piece] != LINE
-    B[starts[:-1][kind != LINE], 0] = control[control_starts[:-1][kind != LINE]]
-    B[starts[1:][kind != LINE] - 1, 3] = control[control_starts[1:][kind != LINE] - 1]
-    inner = np.flatnonzero(curved & (place > 0))
+    curved = kind != LINE
+    B[starts[:-1][curved], 0] = control[control_starts[:-1][curved]]
+    B[starts[1:][curved] - 1, 3] = control[control_starts[1:][curved] - 1]
+    inner = np.flatnonzero(curved[piece] & (place > 0))
     B[inner, 0] = B[inner - 1, 3]
     return B, interval, piece
 
@@ -163,13 +155,6 @@ def _arc_spans(arcs: Arcs, control: Floats, place: Ints, count: Ints) -> tuple[F
     return B, interval
 
 
-def bezier_at(B: Floats, t: Floats) -> Floats:
-    """Points (n, 2) of Bezier spans (n, 4, 2) at a parameter 0 .. 1 each."""
-    s = 1.0 - t
-    weights = np.stack([s * s * s, 3.0 * s * s * t, 3.0 * s * t * t, t * t * t], axis=1)
-    return np.asarray(np.einsum("nk,nkd->nd", weights, B))
-
-
 def places_along(B: Floats, count: int) -> Floats:
     """Points (count, n, 2) of Bezier spans (n, 4, 2) at the parameters 0, 1 / count, 2 / count and so on."""
     t = np.arange(count) / count
@@ -179,11 +164,12 @@ def places_along(B: Floats, count: int) -> Floats:
 
 
 def arc_lengths(B: Floats) -> Floats:
-    """Arc length of each Bezier span, (n,)."""
-    t = 0.5 * (QUADRATURE_NODES + 1.0)
+    """Arc length of each Bezier span, (n,); exact to rounding on the spans of a smooth fit."""
+    nodes, shares = np.polynomial.legendre.leggauss(8)
+    t = 0.5 * (nodes + 1.0)
     weights = np.stack([3.0 * (1.0 - t) ** 2, 6.0 * (1.0 - t) * t, 3.0 * t * t])
     speed = np.einsum("kt,nkd->ntd", weights, np.diff(B, axis=1))
-    return np.asarray(np.hypot(speed[..., 0], speed[..., 1]) @ (0.5 * QUADRATURE_WEIGHTS))
+    return np.asarray(np.hypot(speed[..., 0], speed[..., 1]) @ (0.5 * shares))
 
 
 def chords_for_step(B: Floats, kind: NDArray[np.uint8], step: float) -> Ints:

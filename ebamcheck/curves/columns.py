@@ -19,8 +19,8 @@ settings, part, direction, backend). Every number comes back in the same bits.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -42,8 +42,9 @@ from ebamcheck.columns_file import (
 )
 from ebamcheck.curves import bezier
 from ebamcheck.curves.bezier import BezierSpans, arcs_through
-from ebamcheck.curves.splitting import ARC, LINE, SPLINE
+from ebamcheck.curves.runs import ARC, LINE, SPLINE
 from ebamcheck.errors import InputError, SettingsError
+from ebamcheck.geometry.raster import each_of
 from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.layers import stack as layer_columns
 from ebamcheck.layers.stack import UP, Layers
@@ -55,24 +56,8 @@ MOST_SAMPLES = 2**31  # Most points of a sampling: more come from a mistyped ste
 DRAWN_TOLERANCE_MM = 0.005
 """Chord error of the polylines as which curves are drawn: far below what a screen shows of a part."""
 
-EVIDENCE_COLUMNS = (
-    "cause",
-    "method",
-    "accepted",
-    "value_mm",
-    "limit_mm",
-    "at",
-    "mean_limit_mm",
-    "points_mm",
-    "bulge_mm",
-)
-"""Columns of the evidence, one row a ring."""
-
 VERSION = "1"  # Version of the table in a file; a reader refuses any other
-
 LABELS = ("method", "settings", "part", "direction", "backend")
-
-LAYERS_A_ROW_GROUP = 1024
 
 _OF_RING = {"ring_pieces": pa.large_list(pa.int64()), "ring_closed": pa.large_list(pa.bool_())}
 _OF_PIECE = {"piece_kind": pa.large_list(pa.uint8()), "piece_control": pa.large_list(pa.int64())}
@@ -111,9 +96,7 @@ class Evidence:
     cause: NDArray[np.uint8]  # why the ring by the requested method was not accepted, of gate.CAUSES
     method: NDArray[np.uint8]  # 0 the requested method, 1 the polyline of the contour
     accepted: Bools  # whether the ring by the method that it has now is accepted
-    value_mm: (
-        Floats  # distance, by the requested method, where it exceeds its limit most or comes nearest to it
-    )
+    value_mm: Floats  # distance, by the requested method, where it exceeds its limit most or is nearest to it
     limit_mm: Floats  # the limit there
     at: Floats  # (R, 2) that place, mm; NaN where there is none
     mean_limit_mm: Floats  # mean limit along the ring
@@ -121,10 +104,10 @@ class Evidence:
     bulge_mm: Floats  # greatest distance of that ring from its contour
     known: bool = True  # whether the part was; if not, the settings alone limit the curves
 
-    def of_rings(self, which: slice | Bools) -> Evidence:
+    def of_rings(self, which: slice) -> Evidence:
         """Evidence of some of the rings."""
-        columns: dict[str, Any] = {name: getattr(self, name)[which] for name in EVIDENCE_COLUMNS}
-        return replace(self, **columns)
+        columns = {f.name: getattr(self, f.name) for f in fields(self)}
+        return Evidence(**{n: c if n == "known" else c[which] for n, c in columns.items()})
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -142,8 +125,8 @@ class CurveLayer:
     @property
     def pieces(self) -> tuple[Piece, ...]:
         """Pieces of all rings, ring by ring."""
-        found = self.curves
-        return tuple(found.piece(p) for ring in found.rings_of(self.index) for p in found.pieces_of(ring))
+        a, b = self.curves.ring_starts[self.curves.layer_starts[self.index : self.index + 2]].tolist()
+        return tuple(self.curves.piece(p) for p in range(a, b))
 
     def __iter__(self) -> Iterator[Piece]:
         """Go through the pieces."""
@@ -151,7 +134,7 @@ class CurveLayer:
 
     def __len__(self) -> int:
         """Return the number of pieces."""
-        return sum(len(self.curves.pieces_of(ring)) for ring in self.curves.rings_of(self.index))
+        return len(self.pieces)
 
     def plot(self, ax: Any = None, **style: Any) -> Any:
         """Draw the curves of the layer on matplotlib axes; `style` is of its lines."""
@@ -281,7 +264,7 @@ class Curves(LayerColumns[CurveLayer]):
         piece = self.piece(i)
         at = np.ascontiguousarray(parameters, dtype=np.float64).reshape(-1)
         if piece.kind == LINE:
-            travelled = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(piece.control, axis=0).T))])
+            travelled = np.cumsum(np.hypot(*np.diff(piece.control, axis=0, prepend=piece.control[:1]).T))
             return np.column_stack([np.interp(at, travelled, column) for column in piece.control.T])
         if piece.kind == ARC:
             arcs = arcs_through(np.repeat(piece.control[None], at.size, axis=0))
@@ -328,9 +311,8 @@ class Curves(LayerColumns[CurveLayer]):
 
     def bezier_spans(self) -> BezierSpans:
         """Bezier form of every knot span, line segment and arc, in the order of travel; arcs in short spans."""
-        points, intervals, piece = bezier.span_points(
-            self.kind, self.control, self.control_starts, self.knots, self.knot_starts
-        )
+        columns = self.kind, self.control, self.control_starts, self.knots, self.knot_starts
+        points, intervals, piece = bezier.span_points(*columns)
         ring = self.piece_ring[piece]
         return BezierSpans(points, intervals, self.kind[piece], piece, ring, self.ring_layer[ring])
 
@@ -366,8 +348,7 @@ class Curves(LayerColumns[CurveLayer]):
             return sampled_along(block.bezier_spans(), block.closed, step_mm, tolerance_mm)
 
         parts = run_blocks(work, len(self))
-        sizes = np.concatenate([np.diff(part.ring_starts) for part in parts])
-        starts = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
+        starts = starts_of(np.concatenate([np.diff(part.ring_starts) for part in parts]))
         return SampledRings(np.concatenate([part.points for part in parts]), starts)
 
     def _as_layers(self, sampled: SampledRings) -> Layers:
@@ -393,7 +374,7 @@ class Curves(LayerColumns[CurveLayer]):
         SettingsError
             If the file cannot be written.
         """
-        write_table(table_of(self), Path(path), row_group_size=LAYERS_A_ROW_GROUP)
+        write_table(table_of(self), Path(path), row_group_size=1024)
 
     @classmethod
     def from_parquet(cls, path: str | Path) -> Curves:
@@ -443,21 +424,105 @@ def sampled_along(spans: BezierSpans, closed: Bools, step_mm: float, tolerance_m
         chords = bezier.chords_for_tolerance(spans.points, spans.kind, tolerance_mm)
     total = int(chords.sum())
     if total > MOST_SAMPLES:
-        raise SettingsError(
-            f"sampling would give {total} points (limit {MOST_SAMPLES}): give a larger step or tolerance"
-        )
+        points_of = f"sampling would give {total} points (limit {MOST_SAMPLES})"
+        raise SettingsError(f"{points_of}: give a larger step or tolerance")
     last = np.flatnonzero(np.diff(spans.ring, append=-1) != 0)
     ends = last[~closed[spans.ring[last]]]  # an open path needs its end point too
     sizes = chords.copy()
     sizes[ends] += 1
-    places = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
+    places = starts_of(sizes)
     points = np.empty((int(places[-1]), 2))
     starts = np.ones(len(points), np.bool_)
     starts[places[ends + 1] - 1] = False
     points[starts] = bezier.sample_spans(spans.points, spans.kind == LINE, chords)
     points[~starts] = spans.points[ends, 3]
-    per_ring = np.bincount(spans.ring, sizes, minlength=closed.size)
-    return SampledRings(points, np.concatenate([[0], np.cumsum(per_ring)]).astype(np.int64))
+    return SampledRings(points, starts_of(np.bincount(spans.ring, sizes, minlength=closed.size)))
+
+
+# -- other stacks of the same pieces -----------------------------------------------------------------
+
+
+def of_layers(
+    layers: Layers,
+    ring_starts: Ints,
+    kind: NDArray[np.uint8],
+    control: tuple[Ints, Floats],
+    knots: tuple[Ints, Floats],
+) -> Curves:
+    """Curves of the rings of layers, from the columns of their pieces."""
+    stack = layers.heights, layers.layer_starts, ring_starts, layers.closed
+    return Curves(*stack, kind, *control, *knots)
+
+
+def joined(blocks: Sequence[Curves]) -> Curves:
+    """Consecutive blocks of one stack as one."""
+    columns: dict[str, Any] = {
+        name: np.concatenate([getattr(block, name) for block in blocks])
+        for name in ("heights", "closed", "kind", "control", "knots")
+    }
+    for name in ("layer_starts", "ring_starts", "control_starts", "knot_starts"):
+        columns[name] = starts_of(np.concatenate([np.diff(getattr(block, name)) for block in blocks]))
+    evidence = [block.evidence for block in blocks if block.evidence is not None]
+    if evidence:
+        of_rings = (f.name for f in fields(Evidence) if f.name != "known")
+        every: dict[str, Any] = {n: np.concatenate([getattr(e, n) for e in evidence]) for n in of_rings}
+        columns["evidence"] = replace(evidence[0], **every)
+    return replace(blocks[0], **columns)
+
+
+def with_rings(curves: Curves, others: Curves, which: Bools) -> Curves:
+    """Curves in which the rings marked by `which` (R,) are replaced, in order, by those of `others`."""
+    both = joined([replace(curves, evidence=None), replace(others, evidence=None)])
+    source = np.arange(which.size)
+    source[which] = which.size + np.arange(others.closed.size)
+    pieces, ring_starts = _rows_of(both.ring_starts, source)
+    return replace(curves, ring_starts=ring_starts, **_piece_columns(both, pieces))
+
+
+def turned_over(curves: Curves, rings: Bools) -> Curves:
+    """Turn the direction of some rings (R,); each starts where it did, and every curve stays the same.
+
+    Examples
+    --------
+    >>> from ebamcheck.curves import fit
+    >>> from ebamcheck.slicers.slicing import slice_part
+    >>> from ebamcheck_models import MODELS
+    >>> curves = fit(slice_part(MODELS["cube"].tessellate(0.1), [3.0]))
+    >>> turned = turned_over(curves, np.array([True]))
+    >>> bool((turned.control[0] == curves.control[0]).all()), bool((turned.control[1] == curves.control[-2]).all())
+    (True, True)
+    """
+    pieces, _ = _rows_of(curves.ring_starts, np.arange(rings.size), rings)
+    return replace(curves, **_piece_columns(curves, pieces, rings[curves.piece_ring]))
+
+
+def _piece_columns(curves: Curves, pieces: Ints, turned: Bools | None = None) -> dict[str, Any]:
+    """Columns of some pieces, in their order; those that are `turned` run the other way."""
+    rows, control_starts = _rows_of(curves.control_starts, pieces, turned)
+    knot_rows, knot_starts = _rows_of(curves.knot_starts, pieces, turned)
+    knots = curves.knots[knot_rows]
+    if turned is not None:
+        sizes = np.diff(knot_starts)
+        some = sizes > 0
+        # Knots count from the other end; what was the last one is the first now.
+        last = np.repeat(knots[knot_starts[:-1][some]], sizes[some])
+        knots = np.where(np.repeat(turned, sizes), last - knots, knots)
+    return {
+        "kind": curves.kind[pieces],
+        "control": curves.control[rows],
+        "control_starts": control_starts,
+        "knots": knots,
+        "knot_starts": knot_starts,
+    }
+
+
+def _rows_of(starts: Ints, groups: Ints, turned: Bools | None = None) -> tuple[Ints, Ints]:
+    """Rows of some groups that begin at `starts`, backwards in those that are `turned`, and where each of them begins now."""
+    sizes = np.diff(starts)[groups]
+    group, place = each_of(sizes)
+    if turned is not None:
+        place = np.where(turned[group], sizes[group] - 1 - place, place)
+    return starts[:-1][groups][group] + place, starts_of(sizes)
 
 
 # -- files -------------------------------------------------------------------------------------------
@@ -490,29 +555,18 @@ def _check(curves: Curves, pieces: Ints, controls: Ints, knots: Ints, path: Path
     sizes = np.diff(curves.control_starts)
     if (np.diff(curves.ring_starts) < 0).any() or (sizes < np.array([2, 4, 3])[curves.kind]).any():
         raise InputError(f"{path}: a piece has too few control points: 2 for a line, 4 for a spline")
-    whole = (
-        curves.ring_starts[-1] == curves.kind.size
-        and curves.control_starts[-1] == len(curves.control)
-        and curves.knot_starts[-1] == curves.knots.size
+    levels = (
+        (curves.ring_starts, curves.layer_starts, pieces, curves.kind),
+        (curves.control_starts, pieces, controls, curves.control),
+        (curves.knot_starts, pieces, knots, curves.knots),
     )
-    if not whole or not (
-        np.array_equal(curves.ring_starts[curves.layer_starts], pieces)
-        and np.array_equal(curves.control_starts[pieces], controls)
-        and np.array_equal(curves.knot_starts[pieces], knots)
-    ):
+    whole = all(starts[-1] == len(column) for starts, _, _, column in levels)
+    if not whole or not all(np.array_equal(starts[of], own) for starts, of, own, _ in levels):
         raise InputError(f"{path}: {_UNLIKE}")
-    if not (
-        np.isfinite(curves.control).all()
-        and np.isfinite(curves.knots).all()
-        and np.isfinite(curves.heights).all()
-    ):
+    if not all(np.isfinite(column).all() for column in (curves.control, curves.knots, curves.heights)):
         raise InputError(f"{path}: holds a number that is not finite")
     inner = np.ones(max(curves.knots.size - 1, 0), dtype=bool)
-    inner[
-        curves.knot_starts[1:-1][
-            (curves.knot_starts[1:-1] > 0) & (curves.knot_starts[1:-1] < curves.knots.size)
-        ]
-        - 1
-    ] = False
+    borders = curves.knot_starts[1:-1]
+    inner[borders[(borders > 0) & (borders < curves.knots.size)] - 1] = False
     if (np.diff(curves.knots)[inner] < 0).any():
         raise InputError(f"{path}: the knots of a spline decrease")

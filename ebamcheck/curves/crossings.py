@@ -13,18 +13,18 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ebamcheck.columns_file import starts_of
 from ebamcheck.curves.bezier import BezierSpans
 from ebamcheck.curves.columns import Curves
-from ebamcheck.curves.splitting import around
+from ebamcheck.curves.runs import angles, around
 from ebamcheck.kernels import Bools, Floats, Ints, kernel
 from ebamcheck.threads import run_blocks
 
 SMALLEST_MM = 1e-6  # Hulls that are smaller than this and still not separate count as touching
 
-MOST_WAITING = 256
-"""Size of the stack of pairs of halves still to test: two for each halving of either span; there are at most 60 halvings."""
-
-MOST_HALVINGS = 200_000  # Most pairs tested for two spans. More are needed only where they coincide over a length: they touch.
+MOST_WAITING = (
+    256  # Pairs of halves still to test: two for each halving of either span, of which there are at most 60
+)
 JOINT_MM = 1e-3  # Consecutive spans are tested only beyond this distance from the point that they share
 
 
@@ -38,14 +38,11 @@ class Crossings(NamedTuple):
 def crossings(curves: Curves, spans: BezierSpans | None = None) -> Crossings:
     """Find the rings that cross themselves or others of their layer; `spans` are those of the curves, where they are known."""
     spans = spans or curves.bezier_spans()
-    counts = np.bincount(spans.ring, minlength=curves.closed.size)
-    starts = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
-    found = Crossings(np.zeros(curves.closed.size, np.bool_), np.full((curves.closed.size, 2), np.nan))
-    ring = spans.ring.astype(np.int64)
-    points = np.ascontiguousarray(spans.points)
-    a, b, c, d = np.moveaxis(points, 1, 0)
-    low, high = np.minimum(np.minimum(a, b), np.minimum(c, d)), np.maximum(np.maximum(a, b), np.maximum(c, d))
-    boxes = np.hstack([low, high])
+    count = curves.closed.size
+    starts = starts_of(np.bincount(spans.ring, minlength=count))
+    found = Crossings(np.zeros(count, np.bool_), np.full((count, 2), np.nan))
+    ring, points, closed = spans.ring.astype(np.int64), np.ascontiguousarray(spans.points), curves.closed
+    boxes = np.hstack([points.min(axis=1), points.max(axis=1)])
     following = around(starts)[1]
     smooth = _turns(points, following) < math.pi
 
@@ -53,9 +50,7 @@ def crossings(curves: Curves, spans: BezierSpans | None = None) -> Crossings:
         for k in range(first, last):
             a, b = starts[curves.layer_starts[k : k + 2]].tolist()
             order = a + np.argsort(boxes[a:b, 0], kind="stable")
-            _cross_layer(
-                points, boxes, order, ring, following, smooth, curves.closed, found.crossed, found.at
-            )
+            _cross_layer(points, boxes, order, ring, following, smooth, closed, found.crossed, found.at)
 
     run_blocks(work, len(curves))
     return found
@@ -96,13 +91,12 @@ def _cross_layer(
             closes = p == q and closed[p] and following[two] == one
             if follows != closes and smooth[one if follows else two]:
                 continue
-            if _meet_beyond_joint(points, one, two, follows, closes, waiting, size):
-                for r in (p, q):
-                    if not crossed[r]:
-                        crossed[r] = True
-                        at[r] = 0.25 * (
-                            waiting[0, 0, 0] + waiting[0, 0, 3] + waiting[0, 1, 0] + waiting[0, 1, 3]
-                        )
+            if not _meet_beyond_joint(points, one, two, follows, closes, waiting, size):
+                continue
+            for r in (p, q):
+                if not crossed[r]:
+                    ends = waiting[0, 0, 0] + waiting[0, 0, 3] + waiting[0, 1, 0] + waiting[0, 1, 3]
+                    crossed[r], at[r] = True, 0.25 * ends
         count = kept
         active[count] = i
         count += 1
@@ -115,7 +109,8 @@ def _meet_beyond_joint(
     """Whether two spans meet, other than where one follows the other; the place is left in ``waiting[0]``."""
     waiting[0, 0], waiting[0, 1] = points[i], points[j]
     count = 1
-    for _ in range(MOST_HALVINGS):
+    # More halvings are needed only where spans coincide over a length: they touch.
+    for _ in range(200_000):
         if count == 0:
             return False
         count -= 1
@@ -181,18 +176,13 @@ def _apart(A: Floats, B: Floats) -> bool:
 def _turns(points: Floats, following: Ints) -> Floats:
     """Sum of the angles (n,) by which the control polygons of each span and of the one that follows it turn, rad."""
     legs = np.diff(points, axis=1)
-    x, y = np.ascontiguousarray(legs[:, :, 0].T), np.ascontiguousarray(legs[:, :, 1].T)
     for k, beside in (
         (1, 0),
         (2, 1),
         (1, 2),
         (0, 1),
     ):  # a leg without length takes the direction of one beside it
-        lost = np.flatnonzero((x[k] == 0.0) & (y[k] == 0.0))
-        x[k, lost], y[k, lost] = x[beside, lost], y[beside, lost]
-    own = _angle(x[0], y[0], x[1], y[1]) + _angle(x[1], y[1], x[2], y[2])
-    return np.asarray(own + _angle(x[2], y[2], x[0, following], y[0, following]) + own[following])
-
-
-def _angle(x: Floats, y: Floats, u: Floats, v: Floats) -> Floats:
-    return np.asarray(np.abs(np.arctan2(x * v - y * u, x * u + y * v)))
+        lost = (legs[:, k] == 0.0).all(axis=1)
+        legs[lost, k] = legs[lost, beside]
+    own = np.abs(angles(legs[:, 0], legs[:, 1])) + np.abs(angles(legs[:, 1], legs[:, 2]))
+    return np.asarray(own + np.abs(angles(legs[:, 2], legs[following, 0])) + own[following])

@@ -8,9 +8,10 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
+from ebamcheck.columns_file import starts_of
 from ebamcheck.curves.bezier import BezierSpans, places_along
-from ebamcheck.curves.cleaning import clean
 from ebamcheck.curves.columns import Curves
+from ebamcheck.curves.runs import clean
 from ebamcheck.errors import SettingsError
 from ebamcheck.geometry.nearest import nearest, segments_along, tree_over
 from ebamcheck.kernels import Bools, Floats, Ints, kernel
@@ -19,10 +20,7 @@ from ebamcheck.settings.stages import CurveSettings
 from ebamcheck.threads import run_blocks
 
 CHORDS_A_SPAN = 8  # Chords of a span at whose ends its distance is taken
-REFINEMENTS = 6  # Gauss-Newton steps by which the nearest point is moved along the true curve; each gains several digits
 LAYERS_A_STEP = 64  # Layers measured at a time; bounds the working memory
-
-RINGS_A_BLOCK = 16
 
 
 class Deviation(NamedTuple):
@@ -44,10 +42,9 @@ def deviation_of(curves: Curves, layers: Layers, spans: BezierSpans | None = Non
     spans = spans or curves.bezier_spans()
     count = curves.closed.size
     of_ring = np.bincount(spans.ring, minlength=count)
-    span_starts = np.concatenate([[0], np.cumsum(of_ring)]).astype(np.int64)
+    span_starts = starts_of(of_ring)
     measured = (of_ring > 0) & (np.diff(layers.ring_starts) > 1)
-    sizes = np.where(measured, CHORDS_A_SPAN * of_ring + 1, 0)
-    starts = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
+    starts = starts_of(np.where(measured, CHORDS_A_SPAN * of_ring + 1, 0))
     total = int(starts[-1])
     places = np.empty((total, 2))
     some = np.flatnonzero(measured[spans.ring])
@@ -55,22 +52,14 @@ def deviation_of(curves: Curves, layers: Layers, spans: BezierSpans | None = Non
     for k, along in enumerate(places_along(spans.points[some], CHORDS_A_SPAN)):
         places[rows + k] = along
     places[starts[1:][measured] - 1] = spans.points[span_starts[1:][measured] - 1, 3]
-    found = Deviation(
-        np.zeros(len(layers.points)),
-        places,
-        starts,
-        np.empty(total),
-        np.empty(total, np.int64),
-        np.empty(total),
-    )
-    points = np.ascontiguousarray(layers.points)
+    of_point, of_place, share = np.zeros(len(layers.points)), np.empty(total), np.empty(total)
+    found = Deviation(of_point, places, starts, of_place, np.empty(total, np.int64), share)
+    points, closed = np.ascontiguousarray(layers.points), layers.closed
 
     def work(first: int, last: int) -> None:
-        _measure_rings(
-            points, layers.ring_starts, layers.closed, spans.points, span_starts, first, last, found
-        )
+        _measure_rings(points, layers.ring_starts, closed, spans.points, span_starts, first, last, found)
 
-    run_blocks(work, count, RINGS_A_BLOCK)
+    run_blocks(work, count, 16)
     return found
 
 
@@ -97,9 +86,9 @@ def _measure_rings(
             guess = near.segment
             B = spans[span_starts[r] + guess // CHORDS_A_SPAN]
             t = (guess % CHORDS_A_SPAN + near.t) / CHORDS_A_SPAN
-            # Steps of Gauss and Newton along the true curve, while they bring it nearer.
+            # Six steps of Gauss and Newton along the true curve, while they bring it nearer; each gains several digits.
             best = np.inf
-            for _ in range(REFINEMENTS + 1):
+            for _ in range(7):
                 s = 1.0 - t
                 off = along = square = 0.0
                 for axis in range(2):
@@ -128,39 +117,32 @@ def fit_deviation(curves: Curves, layers: Layers) -> pd.DataFrame:
     ``kept_points_mm`` is the greatest distance of a point that the cleaning kept from the curve (rounding, for a fit that
     interpolates), ``points_mm`` of any point of the contour, ``bulge_mm`` of the curve from the contour's segments; ``blocks``
     counts NC blocks. Raises :class:`SettingsError` if the layers have other heights or rings."""
-    same = np.array_equal(curves.heights, layers.heights) and np.array_equal(
-        curves.layer_starts, layers.layer_starts
-    )
-    if not same or not np.array_equal(curves.closed, layers.closed):
+    columns = ("heights", "layer_starts", "closed")
+    if not all(np.array_equal(getattr(curves, name), getattr(layers, name)) for name in columns):
         raise SettingsError(
             f"curves of {len(curves)} layers and {curves.closed.size} rings were not fitted to these "
             f"{len(layers)} layers and {layers.closed.size} rings: give the layers of the fit"
         )
     settings = CurveSettings.model_validate(dict(curves.settings))
-    of_layer = np.zeros((len(curves), 3))
+    kept_mm, points_mm, bulge_mm = np.zeros((3, len(curves)))
     for start in range(0, len(curves), LAYERS_A_STEP):
-        stop = min(start + LAYERS_A_STEP, len(curves))
-        _add_block(curves.block(start, stop), layers.block(start, stop), settings, of_layer[start:stop])
+        of = slice(start, min(start + LAYERS_A_STEP, len(curves)))
+        block, contours = curves.block(of.start, of.stop), layers.block(of.start, of.stop)
+        found = deviation_of(block, contours)
+        near_mm, collinear_mm = settings.near_point_mm, settings.collinear_mm
+        kept = clean(contours.points, contours.ring_starts, contours.closed, near_mm, collinear_mm).rows
+        layer = np.repeat(block.ring_layer, np.diff(contours.ring_starts))
+        np.maximum.at(kept_mm[of], layer[kept], found.of_point[kept])
+        np.maximum.at(points_mm[of], layer, found.of_point)
+        np.maximum.at(bulge_mm[of], np.repeat(block.ring_layer, np.diff(found.starts)), found.of_place)
     piece_layer = curves.ring_layer[curves.piece_ring]
     return pd.DataFrame(
         {
             "layer": np.arange(len(curves)),
             "height_mm": curves.heights,
-            "kept_points_mm": of_layer[:, 0],
-            "points_mm": of_layer[:, 1],
-            "bulge_mm": of_layer[:, 2],
+            "kept_points_mm": kept_mm,
+            "points_mm": points_mm,
+            "bulge_mm": bulge_mm,
             "blocks": np.bincount(piece_layer, curves.block_counts(), minlength=len(curves)).astype(np.int64),
         }
     )
-
-
-def _add_block(curves: Curves, layers: Layers, settings: CurveSettings, of_layer: Floats) -> None:
-    """Write the greatest distances (L, 3) of the layers of a block."""
-    found = deviation_of(curves, layers)
-    cleaned = clean(
-        layers.points, layers.ring_starts, layers.closed, settings.near_point_mm, settings.collinear_mm
-    )
-    layer = np.repeat(curves.ring_layer, np.diff(layers.ring_starts))
-    np.maximum.at(of_layer[:, 0], layer[cleaned.rows], found.of_point[cleaned.rows])
-    np.maximum.at(of_layer[:, 1], layer, found.of_point)
-    np.maximum.at(of_layer[:, 2], np.repeat(curves.ring_layer, np.diff(found.starts)), found.of_place)

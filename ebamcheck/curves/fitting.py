@@ -4,21 +4,18 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from ebamcheck.backend import Progress
-from ebamcheck.curves.cleaning import clean
-from ebamcheck.curves.columns import Curves
-from ebamcheck.curves.edges import with_edges
-from ebamcheck.curves.gate import Slack, gated, joined
+from ebamcheck.curves.columns import Curves, joined, of_layers
+from ebamcheck.curves.gate import Slack, gated
 from ebamcheck.curves.interpolation import CENTRIPETAL, CHORD_LENGTH, bulges, interpolate
-from ebamcheck.curves.lifting import FLAT_MM, Lifting, Limits
-from ebamcheck.curves.oriented_contours import OrientedContours, as_they_are, orient
-from ebamcheck.curves.reduction import reduced_segments
-from ebamcheck.curves.segments import Segments, pieces_of, smooth_segments
-from ebamcheck.curves.splitting import LINE, split
+from ebamcheck.curves.lifting import Lifting, Limits, with_edges
+from ebamcheck.curves.oriented_contours import FLAT_MM, as_they_are, orient
+from ebamcheck.curves.runs import LINE, CleanRings, clean, split
+from ebamcheck.curves.segments import curves_of, reduced_segments, smooth_segments
 from ebamcheck.errors import GeometryError, SettingsError
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
@@ -29,8 +26,8 @@ from ebamcheck.surface.planes import coordinate_error_mm
 
 LAYERS_A_STEP = 256  # Layers fitted between two reports of progress; also bounds the working memory
 
-SHARE_OF_BULGE = 0.5
-"""Share of the fit gate's limit that a segment of an unlifted contour may bulge; the rest is left for the cleaning."""
+METHODS = ("bounded", "surface", "chord", "paper")
+LIFTED = ("bounded", "surface")  # Methods that lift the points of contours where they can
 
 DEFAULTS = CurveSettings()
 
@@ -109,18 +106,28 @@ def fit(
     _check_finite(layers)
     part = _part_of(layers, part)
     known = None if part is None else with_edges(layers, part, checked.near_point_mm)
-    lifting = _lifting(known or layers, part, method, checked) if method in LIFTED else None
-    judged_by = None if part is None or known is None else lifting or _lifting_of(part, checked)
-    contours = known or layers
+    lifting = None if part is None or known is None else _lifting_of(part, checked)
+    if lifting is None and method == "surface" and len(layers.points):
+        slicer = layers.backend or "their slicer"
+        lacking = "part=" if part is None else f"contours on the edges of the part: those of {slicer} are not"
+        raise SettingsError(f"curve method 'surface' needs {lacking}: use 'bounded', or slice with planecut")
+    contours = layers if known is None else known
     blocks = []
     for start in range(0, max(len(layers), 1), LAYERS_A_STEP):
         stop = min(start + LAYERS_A_STEP, len(layers))
         block = contours.block(start, stop)
-        curves = METHODS[method](block, checked, lifting)
-        blocks.append(_accepted(curves, block, checked, judged_by, largest_mm))
+        curves = ungated(method, block, checked, lifting)
+        blocks.append(_accepted(curves, block, checked, lifting, largest_mm))
         if progress is not None and stop > start:
             progress(stop - start)
-    return _join(blocks, layers, method, checked)
+    return replace(
+        joined(blocks),
+        method=method,
+        settings=checked.model_dump(),
+        part=layers.part,
+        direction=layers.direction,
+        backend=layers.backend,
+    )
 
 
 def fit_for_program(
@@ -145,29 +152,9 @@ def _part_of(layers: Layers, part: Part | None) -> Part | None:
     if part is None:
         return layers.mesh
     if layers.part and layers.part != part.sha256:
-        raise SettingsError(
-            f"layers were cut from another mesh than {part.name!r}: give the part that was sliced"
-        )
+        other = f"layers were cut from another mesh than {part.name!r}"
+        raise SettingsError(f"{other}: give the part that was sliced")
     return part
-
-
-def _accepted(
-    curves: Curves, layers: Layers, settings: CurveSettings, lifting: Lifting | None, largest_mm: float
-) -> Curves:
-    """Curves of a block of layers, and polylines in place of rings that the gate does not accept."""
-    slack_mm = settings.tolerance_mm + settings.near_point_mm + settings.collinear_mm
-    if lifting is None:
-        free = np.full(len(layers.points), settings.largest_bulge_mm)
-        limits = Limits(free, np.zeros(len(layers.points), np.bool_))
-        rounding_mm = 0.0
-    else:
-        limits, rounding_mm = lifting.allowed(layers), lifting.flat_mm
-    limits = limits._replace(of_point=np.minimum(limits.of_point, max(largest_mm - slack_mm, 0.0)))
-    slack = Slack(slack_mm, settings.near_point_mm + settings.collinear_mm + rounding_mm)
-    curves = gated(curves, layers, limits, slack)
-    if lifting is None and curves.evidence is not None:
-        curves = replace(curves, evidence=replace(curves.evidence, known=False))
-    return curves
 
 
 @once_a_part
@@ -176,101 +163,53 @@ def _lifting_of(part: Part, settings: CurveSettings) -> Lifting:
     return Lifting(surface_of(part, settings), max(FLAT_MM, 4.0 * coordinate_error_mm(part)))
 
 
-def _lifting(layers: Layers, part: Part | None, method: str, settings: CurveSettings) -> Lifting | None:
-    """Lifting of the contours of a part; None if part or edges are unknown and the method does not need them."""
-    if part is not None and layers.edge is not None:
-        return _lifting_of(part, settings)
-    if method == "surface" and len(layers.points):
-        lacking = (
-            "part="
-            if part is None
-            else f"contours on the edges of the part: those of {layers.backend or 'their slicer'} are not"
-        )
-        raise SettingsError(f"curve method 'surface' needs {lacking}: use 'bounded', or slice with planecut")
-    return None
+def ungated(method: str, layers: Layers, settings: CurveSettings, lifting: Lifting | None) -> Curves:
+    """Curves of a block of layers before the gate."""
+    if lifting is not None and method in LIFTED:
+        contours = orient(*lifting.lifted_rings(layers), layers.closed, settings)
+    else:
+        near_mm, collinear_mm = settings.near_point_mm, settings.collinear_mm
+        cleaned = clean(layers.points, layers.ring_starts, layers.closed, near_mm, collinear_mm)
+        if method not in LIFTED:
+            power = CENTRIPETAL if method == "paper" else CHORD_LENGTH
+            return _interpolated(layers, cleaned, settings, power)
+        sides = as_they_are(np.ascontiguousarray(layers.points)[cleaned.rows])
+        # A segment may bulge by half of the gate's limit; the rest is left for the cleaning.
+        contours = orient(sides, cleaned.starts, layers.closed, settings, 0.5 * settings.largest_bulge_mm)
+    segments = smooth_segments(contours, layers.closed)
+    if method == "bounded":
+        segments = reduced_segments(segments, settings.tolerance_mm)
+    return curves_of(segments, layers)
 
 
-# -- methods -------------------------------------------------------------------------------------------
-
-
-class _Method(Protocol):
-    def __call__(self, layers: Layers, settings: CurveSettings, lifting: Lifting | None) -> Curves: ...
-
-
-def _fit_paper(layers: Layers, settings: CurveSettings, lifting: Lifting | None) -> Curves:
-    return _interpolated(layers, settings, CENTRIPETAL)
-
-
-def _fit_chord(layers: Layers, settings: CurveSettings, lifting: Lifting | None) -> Curves:
-    return _interpolated(layers, settings, CHORD_LENGTH)
-
-
-def _interpolated(layers: Layers, settings: CurveSettings, power: float) -> Curves:
-    cleaned = clean(
-        layers.points, layers.ring_starts, layers.closed, settings.near_point_mm, settings.collinear_mm
-    )
-    runs = split(
-        layers.points,
-        cleaned,
-        layers.closed,
-        settings.corner_angle_deg,
-        settings.straight_run_mm,
-    )
-    control, control_starts, knots, knot_starts = interpolate(runs, power)
-    bulging = bulges(control, control_starts, knots, knot_starts, runs.kind) > settings.largest_bulge_mm
+def _interpolated(layers: Layers, cleaned: CleanRings, settings: CurveSettings, power: float) -> Curves:
+    """Splines through the points of runs; those that bulge too far are lines."""
+    corner_deg, straight_mm = settings.corner_angle_deg, settings.straight_run_mm
+    runs = split(layers.points, cleaned, layers.closed, corner_deg, straight_mm)
+    control, knots = interpolate(runs, power)
+    bulging = bulges(control, knots, runs.kind) > settings.largest_bulge_mm
     if bulging.any():
         runs = runs._replace(kind=np.where(bulging, np.uint8(LINE), runs.kind))
-        control, control_starts, knots, knot_starts = interpolate(runs, power)
-    return Curves(
-        heights=layers.heights,
-        layer_starts=layers.layer_starts,
-        ring_starts=runs.ring_starts,
-        closed=layers.closed,
-        kind=runs.kind,
-        control_starts=control_starts,
-        control=control,
-        knot_starts=knot_starts,
-        knots=knots,
-    )
+        control, knots = interpolate(runs, power)
+    return of_layers(layers, runs.ring_starts, runs.kind, control, knots)
 
 
-def _fit_surface(layers: Layers, settings: CurveSettings, lifting: Lifting | None) -> Curves:
-    found = _oriented(layers, settings, lifting)
-    return _curves(layers, smooth_segments(found, layers.closed))
-
-
-def _fit_bounded(layers: Layers, settings: CurveSettings, lifting: Lifting | None) -> Curves:
-    found = _oriented(layers, settings, lifting)
-    return _curves(layers, reduced_segments(smooth_segments(found, layers.closed), settings.tolerance_mm))
-
-
-def _oriented(layers: Layers, settings: CurveSettings, lifting: Lifting | None) -> OrientedContours:
-    """Orient the lifted contours, or the cleaned ones if there is no lifting."""
-    if lifting is not None:
-        return orient(*lifting.lifted_rings(layers), layers.closed, settings)
-    cleaned = clean(
-        layers.points, layers.ring_starts, layers.closed, settings.near_point_mm, settings.collinear_mm
-    )
-    sides = as_they_are(np.ascontiguousarray(layers.points)[cleaned.rows])
-    return orient(sides, cleaned.starts, layers.closed, settings, SHARE_OF_BULGE * settings.largest_bulge_mm)
-
-
-def _curves(layers: Layers, segments: Segments) -> Curves:
-    pieces = pieces_of(segments)
-    return Curves(
-        heights=layers.heights, layer_starts=layers.layer_starts, closed=layers.closed, **pieces._asdict()
-    )
-
-
-METHODS: dict[str, _Method] = {
-    "bounded": _fit_bounded,
-    "surface": _fit_surface,
-    "chord": _fit_chord,
-    "paper": _fit_paper,
-}
-"""Fits by name; each takes a block of layers and returns its curves."""
-
-LIFTED = ("bounded", "surface")  # Methods that lift the points of contours where they can
+def _accepted(
+    curves: Curves, layers: Layers, settings: CurveSettings, lifting: Lifting | None, largest_mm: float
+) -> Curves:
+    """Curves of a block of layers, and polylines in place of rings that the gate does not accept."""
+    cleaning_mm = settings.near_point_mm + settings.collinear_mm
+    slack_mm = settings.tolerance_mm + cleaning_mm
+    if lifting is None:
+        free = np.full(len(layers.points), settings.largest_bulge_mm)
+        limits, rounding_mm = Limits(free, np.zeros(len(layers.points), np.bool_)), 0.0
+    else:
+        limits, rounding_mm = lifting.allowed(layers), lifting.flat_mm
+    limits = limits._replace(of_point=np.minimum(limits.of_point, max(largest_mm - slack_mm, 0.0)))
+    curves = gated(curves, layers, limits, Slack(slack_mm, cleaning_mm + rounding_mm))
+    if lifting is None and curves.evidence is not None:
+        curves = replace(curves, evidence=replace(curves.evidence, known=False))
+    return curves
 
 
 def _check_finite(layers: Layers) -> None:
@@ -282,29 +221,3 @@ def _check_finite(layers: Layers) -> None:
             f"layer {layer + 1} (z = {layers.heights[layer]:g} mm), ring {ring}: point {layers.points[bad[0]].tolist()} "
             "is not finite; slice the part anew"
         )
-
-
-def _join(blocks: list[Curves], layers: Layers, method: str, settings: CurveSettings) -> Curves:
-    """Join consecutive blocks of one stack, with the labels of its layers."""
-
-    def starts(name: str) -> np.ndarray[Any, np.dtype[np.int64]]:
-        sizes = np.concatenate([np.diff(getattr(block, name)) for block in blocks])
-        return np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
-
-    return Curves(
-        heights=layers.heights,
-        layer_starts=layers.layer_starts,
-        ring_starts=starts("ring_starts"),
-        closed=layers.closed,
-        kind=np.concatenate([block.kind for block in blocks]),
-        control_starts=starts("control_starts"),
-        control=np.concatenate([block.control for block in blocks]),
-        knot_starts=starts("knot_starts"),
-        knots=np.concatenate([block.knots for block in blocks]),
-        method=method,
-        settings=settings.model_dump(),
-        part=layers.part,
-        direction=layers.direction,
-        backend=layers.backend,
-        evidence=joined([block.evidence for block in blocks if block.evidence is not None]),
-    )

@@ -8,20 +8,20 @@ that, and leaves it by no more than a surface plausibly stands over the facets t
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from ebamcheck.columns_file import starts_of
 from ebamcheck.curves.bezier import BezierSpans
-from ebamcheck.curves.cleaning import clean
-from ebamcheck.curves.columns import EVIDENCE_COLUMNS, Curves, Evidence, sampled_along
+from ebamcheck.curves.columns import Curves, Evidence, of_layers, sampled_along, with_rings
 from ebamcheck.curves.crossings import crossings
 from ebamcheck.curves.deviation import deviation_of
 from ebamcheck.curves.lifting import Limits
-from ebamcheck.curves.splitting import LINE, around
+from ebamcheck.curves.runs import LINE, around, clean
 from ebamcheck.geometry import rings
+from ebamcheck.geometry.raster import each_of
 from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.bodies import volumes_between
@@ -33,14 +33,7 @@ CAUSES = ("", "sagitta", "plane", "crossing", "turned", "nesting")
 ACCEPTED, SAGITTA, PLANE, CROSSING, TURNED, NESTING = range(len(CAUSES))
 
 METHODS = ("", "polyline")  # The requested method, and that to which a ring falls back
-
 POLYLINE = 1
-
-MOST_ROUNDS = 6  # Most rounds of falling back: a ring falls once, but its neighbours may have to follow it
-MEAN_SHARE = 0.25  # Mean limit along a ring, over those of its places: single places may be off by more than a whole ring
-
-NESTING_MM = 0.01
-"""Chord error of the polylines by which nesting is found: one point of a ring tells, as nesting matters only if none cross."""
 
 
 class Slack(NamedTuple):
@@ -54,13 +47,13 @@ def gated(curves: Curves, layers: Layers, limits: Limits, slack: Slack) -> Curve
     """Curves with their evidence; those rings that are not accepted are the polylines of their contours."""
     asked = found = evidence(curves, layers, limits, slack)
     fallen = np.zeros(curves.closed.size, np.uint8)
-    for _ in range(MOST_ROUNDS):
+    for _ in range(6):  # a ring falls once, but its neighbours may have to follow it
         falling = ~found.accepted & (fallen == 0)
         if not falling.any():
             break
         for name in ("cause", "value_mm", "limit_mm", "at"):  # of what was asked for, or of what followed it
             getattr(asked, name)[falling] = getattr(found, name)[falling]
-        curves = with_rings(curves, polylines(rings_of(layers, falling)), falling)
+        curves = with_rings(curves, polylines(_rings_of(layers, falling)), falling)
         fallen[falling] = POLYLINE
         found = evidence(curves, layers, limits, slack)
     # A polyline is the contour itself: what is still wrong with it was wrong with the contour, not with the fit.
@@ -69,12 +62,6 @@ def gated(curves: Curves, layers: Layers, limits: Limits, slack: Slack) -> Curve
     if not accepted.all():
         accepted |= ~evidence(polylines(layers), layers, limits, slack).accepted
     return replace(curves, evidence=replace(asked, method=fallen, accepted=accepted))
-
-
-def joined(blocks: Sequence[Evidence]) -> Evidence:
-    """Evidence of consecutive blocks of one stack."""
-    columns: dict[str, Any] = {n: np.concatenate([getattr(b, n) for b in blocks]) for n in EVIDENCE_COLUMNS}
-    return replace(blocks[0], **columns)
 
 
 def evidence(curves: Curves, layers: Layers, limits: Limits, slack: Slack) -> Evidence:
@@ -86,7 +73,7 @@ def evidence(curves: Curves, layers: Layers, limits: Limits, slack: Slack) -> Ev
     fresh = crossed.crossed & (cause == ACCEPTED)
     cause[fresh] = CROSSING
     found.at[fresh] = crossed.at[fresh]
-    cause[(np.sign(ring_areas(curves, spans)) != np.sign(layers.ring_areas)) & (cause == ACCEPTED)] = TURNED
+    cause[(np.sign(_ring_areas(curves, spans)) != np.sign(layers.ring_areas)) & (cause == ACCEPTED)] = TURNED
     cause[_moved_out(curves, layers, spans) & (cause == ACCEPTED)] = NESTING
     return replace(found, accepted=cause == ACCEPTED)
 
@@ -100,15 +87,15 @@ def _farthest(curves: Curves, layers: Layers, limits: Limits, slack: Slack, span
     inside = limits.plane[k] & (off.share > 0.0) & (off.share < 1.0)
     room = np.maximum(limits.of_point[k], limits.of_point[following[k]])
     found = Evidence(
-        np.zeros(count, np.uint8),
-        np.zeros(count, np.uint8),
-        np.ones(count, np.bool_),
-        np.zeros(count),
-        np.full(count, slack.anywhere),
-        np.full((count, 2), np.nan),
-        slack.anywhere + _mean_along(layers, limits, following),
-        np.zeros(count),
-        np.zeros(count),
+        cause=np.zeros(count, np.uint8),
+        method=np.zeros(count, np.uint8),
+        accepted=np.ones(count, np.bool_),
+        value_mm=np.zeros(count),
+        limit_mm=np.full(count, slack.anywhere),
+        at=np.full((count, 2), np.nan),
+        mean_limit_mm=slack.anywhere + _mean_along(layers, limits, following),
+        points_mm=np.zeros(count),
+        bulge_mm=np.zeros(count),
     )
     measured = np.diff(off.starts) > 0
     worst = np.full(count, -np.inf)
@@ -121,7 +108,9 @@ def _farthest(curves: Curves, layers: Layers, limits: Limits, slack: Slack, span
         if not rows.size:
             continue
         largest[rows] = np.maximum.reduceat(value, starts[rows])
-        at, excess = _greatest(value - limit, starts[rows])
+        excess = np.maximum.reduceat(value - limit, starts[rows])
+        at = np.flatnonzero(value - limit == np.repeat(excess, np.diff(starts)[rows]))
+        at = at[np.searchsorted(at, starts[rows])]  # the first place of each ring
         beyond = measured[rows] & (excess > worst[rows])
         at, rows = at[beyond], rows[beyond]
         worst[rows] = excess[beyond]
@@ -130,38 +119,21 @@ def _farthest(curves: Curves, layers: Layers, limits: Limits, slack: Slack, span
     return found
 
 
-def _greatest(values: Floats, starts: Ints) -> tuple[Ints, Floats]:
-    """Where the greatest value of each group is first found, and that value."""
-    greatest = np.maximum.reduceat(values, starts)
-    sizes = np.diff(starts, append=values.size)
-    at = np.flatnonzero(values == np.repeat(greatest, sizes))
-    return at[np.searchsorted(at, starts)], greatest
-
-
 def _mean_along(layers: Layers, limits: Limits, following: Ints) -> Floats:
-    """Mean limit along each ring, (R,) mm."""
+    """A quarter of the mean limit along each ring, (R,) mm: single places may be off by more than a whole ring."""
     ring = np.repeat(np.arange(layers.closed.size), np.diff(layers.ring_starts))
     long = np.hypot(*(layers.points[following] - layers.points).T)
-    middle = np.where(limits.plane, 0.0, 0.5 * (limits.of_point + limits.of_point[following])) * MEAN_SHARE
+    middle = np.where(limits.plane, 0.0, 0.5 * (limits.of_point + limits.of_point[following])) * 0.25
     total, weighed = (np.bincount(ring, w, minlength=layers.closed.size) for w in (long, long * middle))
     return np.asarray(weighed / np.where(total > 0.0, total, 1.0))
 
 
-def ring_areas(curves: Curves, spans: BezierSpans) -> Floats:
+def _ring_areas(curves: Curves, spans: BezierSpans) -> Floats:
     """Exact signed area of each closed ring, (R,) mm2; 0 for open paths. Arcs are cubics within 1e-9 of them."""
-    P = spans.points
-
-    def cross(i: int, j: int) -> Floats:
-        return np.asarray(P[:, i, 0] * P[:, j, 1] - P[:, i, 1] * P[:, j, 0])
-
-    area = (
-        6.0 * cross(0, 1)
-        + 3.0 * cross(0, 2)
-        + cross(0, 3)
-        + 3.0 * cross(1, 2)
-        + 3.0 * cross(1, 3)
-        + 6.0 * cross(2, 3)
-    )
+    area = np.zeros(len(spans))
+    for i, j, share in ((0, 1, 6.0), (0, 2, 3.0), (0, 3, 1.0), (1, 2, 3.0), (1, 3, 3.0), (2, 3, 6.0)):
+        p, q = spans.points[:, i], spans.points[:, j]
+        area += share * (p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0])
     total = np.bincount(spans.ring, area / 20.0, minlength=curves.closed.size)
     return np.where(curves.closed, total, 0.0)
 
@@ -171,87 +143,40 @@ def _moved_out(curves: Curves, layers: Layers, spans: BezierSpans) -> Bools:
     several = np.repeat(np.diff(layers.layer_starts) > 1, np.diff(layers.layer_starts))
     if not several.any():
         return np.zeros(curves.closed.size, np.bool_)
-    sampled = sampled_along(spans, curves.closed, math.inf, NESTING_MM)
+    # A coarse polyline is enough: one point of a ring tells, as nesting matters only if none cross.
+    sampled = sampled_along(spans, curves.closed, math.inf, 0.01)
     areas = rings.signed_areas(sampled.points, sampled.ring_starts, curves.closed)
     boxes = rings.bounds(sampled.points, sampled.ring_starts)
     parents = rings.parents(sampled.points, sampled.ring_starts, layers.layer_starts, areas, boxes)
     return np.asarray(several & (parents != layers.parents))
 
 
-# -- polylines, and curves of which some rings are replaced -----------------------------------------------------
-
-
 def polylines(layers: Layers) -> Curves:
     """Contours as curves, without points that repeat or lie on the line between their neighbours."""
-    cleaned = clean(np.ascontiguousarray(layers.points), layers.ring_starts, layers.closed, 0.0, 0.0)
+    points = np.ascontiguousarray(layers.points)
+    cleaned = clean(points, layers.ring_starts, layers.closed, 0.0, 0.0)
     sizes = np.diff(cleaned.starts)
-    more = sizes + (layers.closed & (sizes > 0))
-    control_starts = _starts(more)
-    ring = np.repeat(np.arange(sizes.size), more)
-    place = np.arange(control_starts[-1]) - control_starts[ring]
-    rows = cleaned.rows[cleaned.starts[ring] + place % sizes[ring]]
     filled = sizes > 0
-    count = int(np.count_nonzero(filled))
-    return Curves(
-        heights=layers.heights,
-        layer_starts=layers.layer_starts,
-        ring_starts=_starts(filled),
-        closed=layers.closed,
-        kind=np.full(count, LINE, np.uint8),
-        control_starts=_starts(more[filled]),
-        control=np.ascontiguousarray(layers.points)[rows],
-        knot_starts=np.zeros(count + 1, np.int64),
-        knots=np.zeros(0),
-    )
+    more = sizes + (layers.closed & filled)
+    ring, place = each_of(more)
+    control = points[cleaned.rows[cleaned.starts[ring] + place % sizes[ring]]]
+    kind = np.full(np.count_nonzero(filled), LINE, np.uint8)
+    no_knots = np.zeros(kind.size + 1, np.int64), np.zeros(0)
+    return of_layers(layers, starts_of(filled), kind, (starts_of(more[filled]), control), no_knots)
 
 
-def rings_of(layers: Layers, which: Bools) -> Layers:
-    """The layers with only some of their rings."""
+def _rings_of(layers: Layers, which: Bools) -> Layers:
+    """The layers with only some of their rings, without edges."""
     sizes = np.diff(layers.ring_starts)
-    rows = np.repeat(which, sizes)
-    counts = np.bincount(layers.ring_layer[which], minlength=len(layers))
     return replace(
         layers,
-        points=layers.points[rows],
-        ring_starts=_starts(sizes[which]),
-        layer_starts=_starts(counts),
+        points=layers.points[np.repeat(which, sizes)],
+        ring_starts=starts_of(sizes[which]),
+        layer_starts=starts_of(np.bincount(layers.ring_layer[which], minlength=len(layers))),
         closed=layers.closed[which],
-        edge=None if layers.edge is None else layers.edge[rows],
-        edge_t=None if layers.edge_t is None else layers.edge_t[rows],
+        edge=None,
+        edge_t=None,
     )
-
-
-def with_rings(curves: Curves, others: Curves, which: Bools) -> Curves:
-    """Curves in which the rings marked by `which` (R,) are replaced, in order, by those of `others`."""
-    count = curves.closed.size
-    source = np.arange(count)
-    source[which] = count + np.arange(others.closed.size)
-    both = [curves, others]
-    pieces, ring_starts = _chosen([c.ring_starts for c in both], source)
-    rows, control_starts = _chosen([c.control_starts for c in both], pieces)
-    knots, knot_starts = _chosen([c.knot_starts for c in both], pieces)
-    return replace(
-        curves,
-        ring_starts=ring_starts,
-        kind=np.concatenate([c.kind for c in both])[pieces],
-        control_starts=control_starts,
-        control=np.concatenate([c.control for c in both])[rows],
-        knot_starts=knot_starts,
-        knots=np.concatenate([c.knots for c in both])[knots],
-    )
-
-
-def _starts(sizes: Ints | Bools) -> Ints:
-    return np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
-
-
-def _chosen(columns: list[Ints], groups: Ints) -> tuple[Ints, Ints]:
-    """Members of some groups of ragged columns that follow each other, and the starts of the column that they make."""
-    starts = _starts(np.concatenate([np.diff(s) for s in columns]))
-    sizes = np.diff(starts)[groups]
-    new_starts = _starts(sizes)
-    members = np.arange(new_starts[-1]) + np.repeat(starts[:-1][groups] - new_starts[:-1], sizes)
-    return members.astype(np.int64), new_starts
 
 
 # -- a whole stack of curves: layers against their neighbours, and against the mesh between them ----------------
@@ -262,18 +187,16 @@ def _chosen(columns: list[Ints], groups: Ints) -> tuple[Ints, Ints]:
 # curves must agree with it, up to the error that the areas of the contours themselves make, and up to how far
 # curves may lie outside or inside their contours.
 
-VOLUME_ROUNDING = 1e-9  # Relative rounding error allowed in the sum of a volume
-
 
 class StackEvidence(NamedTuple):
     """How layers agree with each other and with the mesh."""
 
     lift_mm: Floats  # (L,) mean lift of each layer; 0 without contours
     allowed_mm: Floats  # (L,) mean limit along the contours, by the mesh and the tolerance
+    # (L,) differences less the allowed ones: of the lift from that of the layer below, and of the volumes above that layer by the
+    # curves and of the mesh.
     jump_excess_mm: Floats
-    """(L,) difference of the lift from that of the layer below, less the allowed one; 0 or less is within the limit."""
     volume_excess_mm3: Floats
-    """(L,) difference between the volumes, above the layer below, by the curves and of the mesh, less the allowed one."""
 
     @property
     def accepted(self) -> bool:
@@ -287,9 +210,8 @@ def stack_evidence(curves: Curves, layers: Layers, part: Part, found: Evidence) 
     of_ring = curves.ring_layer
     length = np.bincount(of_ring, layers.ring_lengths, minlength=count)
     weight = np.where(length > 0.0, length, 1.0)
-    gain = np.bincount(
-        of_ring, ring_areas(curves, curves.bezier_spans()) - layers.ring_areas, minlength=count
-    )
+    more = _ring_areas(curves, curves.bezier_spans()) - layers.ring_areas
+    gain = np.bincount(of_ring, more, minlength=count)
     may = np.bincount(of_ring, found.mean_limit_mm * layers.ring_lengths, minlength=count) / weight
     lift = gain / weight
     jumps, volumes = np.zeros(count), np.zeros(count)
@@ -301,5 +223,5 @@ def stack_evidence(curves: Curves, layers: Layers, part: Part, found: Evidence) 
         plain = 0.5 * step * (areas[1:] + areas[:-1])
         curved = plain + 0.5 * step * (gain[1:] + gain[:-1])
         allowed = np.abs(mesh - plain) + 0.5 * step * (may[1:] * length[1:] + may[:-1] * length[:-1])
-        volumes[1:] = np.abs(mesh - curved) - allowed - VOLUME_ROUNDING * np.abs(mesh)
+        volumes[1:] = np.abs(mesh - curved) - allowed - 1e-9 * np.abs(mesh)
     return StackEvidence(lift, may, jumps, volumes)

@@ -18,12 +18,16 @@ three times that.) Steps by chord length do not keep that limit where points are
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_banded
 
+from ebamcheck.columns_file import starts_of
 from ebamcheck.curves.bezier import span_points
-from ebamcheck.curves.splitting import LINE, Runs, angles
+from ebamcheck.curves.runs import LINE, Runs, angles
+from ebamcheck.geometry.raster import each_of
 from ebamcheck.kernels import Bools, Floats, Ints
 
 CENTRIPETAL, CHORD_LENGTH = 0.5, 1.0
@@ -36,8 +40,8 @@ BULGE_LIMIT = 0.6
 The most found on random runs with chords of 1 um .. 100 mm and turns up to 40 degrees is 0.48."""
 
 
-def interpolate(runs: Runs, power: float = CENTRIPETAL) -> tuple[Floats, Ints, Floats, Ints]:
-    """Control points (M, 2), their starts (P + 1,), knots (K,) and their starts (P + 1,), all in mm.
+def interpolate(runs: Runs, power: float = CENTRIPETAL) -> tuple[tuple[Ints, Floats], tuple[Ints, Floats]]:
+    """Starts (P + 1,) of the control points (M, 2) of each run, and these; the same of the knots (K,); all in mm.
 
     A curved run of n + 1 points gets n + 3 control points and n + 7 knots, of which the first and the
     last four are equal. The paper's parameters 0 .. 1 are scaled to the length of the run's chords,
@@ -49,28 +53,21 @@ def interpolate(runs: Runs, power: float = CENTRIPETAL) -> tuple[Floats, Ints, F
     """
     sizes = np.diff(runs.starts)
     curved = runs.kind != LINE
-    control_starts = np.concatenate([[0], np.cumsum(sizes + 2 * curved)]).astype(np.int64)
-    knot_starts = np.concatenate([[0], np.cumsum(np.where(curved, sizes + 6, 0))]).astype(np.int64)
-    control = np.empty((int(control_starts[-1]), 2))
-    run = np.repeat(np.arange(sizes.size), sizes)
-    place = np.arange(run.size) - runs.starts[run]
-    control[(control_starts[run] + place + (curved[run] & (place > 0)))[~curved[run]]] = runs.points[
-        ~curved[run]
-    ]
+    control_starts = starts_of(sizes + 2 * curved)
+    knot_starts = starts_of(np.where(curved, sizes + 6, 0))
+    control, knots = np.empty((int(control_starts[-1]), 2)), np.empty(int(knot_starts[-1]))
+    run, place = each_of(sizes)
     some = curved[run]
-    knots = np.empty(int(knot_starts[-1]))
+    control[(control_starts[run] + place)[~some]] = runs.points[~some]
     if some.any():
-        rows = np.concatenate([[0], np.cumsum(sizes[curved])]).astype(np.int64)
-        runs_of = _Splines(runs.points[some], rows, runs.periodic[curved], runs.tangents[curved], power)
-        points, parameters = runs_of.control_points(), runs_of.parameters
-        own = np.repeat(np.flatnonzero(curved), sizes[curved] + 2)
-        inside = np.arange(own.size) - np.repeat(rows[:-1] + 2 * np.arange(rows.size - 1), sizes[curved] + 2)
-        control[control_starts[own] + inside] = points
+        rows = starts_of(sizes[curved])
+        splines = _Splines(runs.points[some], rows, runs.periodic[curved], runs.tangents[curved], power)
+        own, inside = each_of(sizes[curved] + 2)
+        control[control_starts[:-1][curved][own] + inside] = splines.control_points()
         # Each run's parameters, its first and last three times more.
-        at = np.concatenate([np.arange(-3, n + 3) for n in sizes[curved].tolist()]) if rows.size > 1 else rows
-        per = np.repeat(np.arange(rows.size - 1), sizes[curved] + 6)
-        knots[:] = parameters[rows[per] + np.clip(at, 0, sizes[curved][per] - 1)]
-    return control, control_starts, knots, knot_starts
+        own, inside = each_of(sizes[curved] + 6)
+        knots[:] = splines.parameters[rows[own] + np.clip(inside - 3, 0, sizes[curved][own] - 1)]
+    return (control_starts, control), (knot_starts, knots)
 
 
 class _Splines:
@@ -79,18 +76,17 @@ class _Splines:
     def __init__(self, points: Floats, starts: Ints, periodic: Bools, tangents: Floats, power: float) -> None:
         self.points, self.starts, self.periodic, self.tangents = points, starts, periodic, tangents
         self.first, self.last = starts[:-1], starts[1:] - 1
-        self.inner = np.ones(len(points), np.bool_)
-        """Points after which an interval follows: all but the last of each run."""
-        self.inner[self.last] = False
-        chord = np.hypot(*np.diff(points, axis=0, append=points[-1:]).T) * self.inner
-        self.run = np.repeat(np.arange(self.first.size), np.diff(starts))
-        step = np.where(self.inner, chord**power, 0.0)
+        self.run, _ = each_of(np.diff(starts))
+        inner = np.ones(len(points), np.bool_)  # points after which an interval follows
+        inner[self.last] = False
+        chord = np.hypot(*np.diff(points, axis=0, append=points[-1:]).T) * inner
+        step = np.where(inner, chord**power, 0.0)
         length, total = (np.bincount(self.run, w, minlength=self.first.size) for w in (chord, step))
         step *= (length / total)[self.run]
         self.parameters = np.zeros(len(points))
         for a, b in zip(self.first.tolist(), self.last.tolist(), strict=True):
             np.cumsum(step[a:b], out=self.parameters[a + 1 : b + 1])
-        self.interval = np.where(self.inner, np.diff(self.parameters, append=0.0), 1.0)
+        self.interval = np.where(inner, np.diff(self.parameters, append=0.0), 1.0)
 
     def derivatives(self) -> Floats:
         """Derivatives (n, 2) at all points: one banded system; the cyclic corners are taken out by Sherman and Morrison."""
@@ -137,21 +133,10 @@ class _Splines:
         alone = last == first + 1
         third, second = np.where(alone, first + 1, first + 2), np.where(alone, last - 1, last - 2)
         V, h = self.points, self.interval
-        start = _end_vector(
-            (V[first], V[first + 1], V[third]),
-            (h[first], h[third - 1]),
-            tangents[:, 0],
-            tangents[:, 1],
-            alone,
-        )
-        end = _end_vector(
-            (V[last], V[last - 1], V[second]),
-            (h[last - 1], h[second]),
-            -tangents[:, 1],
-            -tangents[:, 0],
-            alone,
-        )
-        return start, -end
+        points, steps = (V[first], V[first + 1], V[third]), (h[first], h[third - 1])
+        start = _end_vector(points, steps, tangents[:, 0], tangents[:, 1], alone)
+        points, steps = (V[last], V[last - 1], V[second]), (h[last - 1], h[second])
+        return start, -_end_vector(points, steps, -tangents[:, 1], -tangents[:, 0], alone)
 
     def control_points(self) -> Floats:
         """Control points of all runs: the inner ones are blossoms f(u_(k-1), u_k, u_(k+1)).
@@ -161,28 +146,20 @@ class _Splines:
         V, h = self.points, self.interval[:, None]
         m = self.derivatives()
         back, right = np.roll(h, 1, axis=0), h >= np.roll(h, 1, axis=0)
-        out = V + m * h / 3.0, np.roll(V - m * np.roll(h, 1, axis=0) / 3.0, -1, axis=0)
-        ahead, arriving = out[0], V - m * back / 3.0
+        ahead, arriving = V + m * h / 3.0, V - m * back / 3.0
         far = np.where(right, np.roll(arriving, -1, axis=0), np.roll(ahead, 1, axis=0))
         near = np.where(right, ahead, arriving)
         inner = near + (near - far) * np.where(right, back / h, h / back)
-        count = self.first.size
-        found = np.empty((len(V) + 2 * count, 2))
-        shift = 2 * self.run
-        found[np.arange(len(V)) + shift + 1] = inner
-        found[self.first + 2 * np.arange(count)] = V[self.first]
-        found[self.first + 2 * np.arange(count) + 1] = ahead[self.first]
-        found[self.last + 2 * np.arange(count) + 1] = arriving[self.last]
-        found[self.last + 2 * np.arange(count) + 2] = V[self.last]
+        more = 2 * np.arange(self.first.size)
+        found = np.empty((len(V) + 2 * more.size, 2))
+        found[np.arange(len(V)) + 2 * self.run + 1] = inner
+        found[self.first + more], found[self.first + more + 1] = V[self.first], ahead[self.first]
+        found[self.last + more + 1], found[self.last + more + 2] = arriving[self.last], V[self.last]
         return found
 
 
 def _end_vector(
-    points: tuple[Floats, Floats, Floats],
-    steps: tuple[Floats, Floats],
-    tangent: Floats,
-    opposite: Floats,
-    alone: Bools,
+    points: Sequence[Floats], steps: Sequence[Floats], tangent: Floats, opposite: Floats, alone: Bools
 ) -> Floats:
     """Derivative at the first of three points: along the tangent if it is given, else of the circle there.
 
@@ -209,15 +186,13 @@ def _arc_over_chord(angle: Floats) -> Floats:
     return np.where(angle > 1e-8, angle / np.sin(np.maximum(angle, 1e-8)), 1.0)
 
 
-def bulges(
-    control: Floats, control_starts: Ints, knots: Floats, knot_starts: Ints, kind: NDArray[np.uint8]
-) -> Floats:
+def bulges(control: tuple[Ints, Floats], knots: tuple[Ints, Floats], kind: NDArray[np.uint8]) -> Floats:
     """Greatest distance of each piece's curve from the chords between its points, (P,) mm; 0 for lines.
 
     The distance of a cubic from the line through its ends is a cubic with two known roots, so its extremes are
     those of a quadratic: exact, without sampling.
     """
-    B, _, piece = span_points(kind, control, control_starts, knots, knot_starts)
+    B, _, piece = span_points(kind, control[1], control[0], knots[1], knots[0])
     chord = B[:, 3] - B[:, 0]
     length = np.hypot(*chord.T)
     legs = B[:, 1:3] - B[:, :1]

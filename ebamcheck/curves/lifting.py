@@ -10,34 +10,28 @@ On exact surfaces a point moves to their section.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial import cKDTree
 
-from ebamcheck.curves.oriented_contours import NO_PLANE, Sides, as_they_are
+from ebamcheck.curves.oriented_contours import FLAT_MM, NO_PLANE, Sides, as_they_are
 from ebamcheck.curves.sections import place, refined
 from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.layers.stack import Layers
+from ebamcheck.mesh.part import Part
+from ebamcheck.mesh.topology import Index
 from ebamcheck.surface.exact_forms import FLAT, KIND
 from ebamcheck.surface.lift_limits import LiftLimits, lift_limits, plausible_share
 from ebamcheck.surface.part_surface import PartSurface
+from ebamcheck.surface.planes import area_vectors
 from ebamcheck.surface.regions import PLANE, STRIP
-
-MOST_STEPS = 60  # Most steps towards the place of a layer on a curved edge; as many halvings reach rounding
-SAME_PLACE = 1e-14  # Step along an edge, over its length, that counts as rounding
+from ebamcheck.threads import run_blocks
 
 FLATTEST_SURFACE = 0.25
 """Sine of the surface's slope below which a move in the layer grows no further: a point moves at most the height of the
 curved edge over its chord, divided by this."""
-
-LEAST_SIDEWAYS = 1e-6  # Horizontal part of a unit normal below which the contour has no tangent there: the surface is level
-LEAST_CREASE = 0.1  # Sine of the angle between the normals on the two sides of a crease below which its direction is unknown
-
-FLAT_MM = 2e-5
-"""Chords whose joint lies this near to the line over both are one: the 32-bit rounding of a plane some hundred mm wide."""
-
-LARGEST_INFLECTION = np.sin(np.deg2rad(5.0))
-"""Sine of the largest bends to opposite sides at the two ends of an edge; larger ones show a flat side between curved ones."""
 
 OF_SAGITTAS = 8.0
 """Largest distance between a curve and its contour, over the largest sagitta of the mesh there or the median one, by the greater,
@@ -45,17 +39,12 @@ and over the sine of the slope. On a regular mesh the surface is one sagitta off
 six: of 1,394 rings of 255 meshes of known parts, all that are farther off than four are nearer to their part than the contour."""
 
 
-PLANE_FACETS = 4.0  # Least area of a plane, over the mean area of the facets of curved regions, for it to be one for certain
-
-
 class Limits(NamedTuple):
     """How far curves may leave contours."""
 
-    of_point: (
-        Floats  # (N,) limit at each point, mm; along the segment after it the greater of those at both ends
-    )
+    of_point: Floats  # (N,) limit at each point, mm; along the segment after it the greater of both ends
     plane: (
-        Bools  # (N,) whether the segment after the point lies in a plane of the part, which it does not leave
+        Bools  # (N,) whether the segment after the point lies in a plane of the part, and does not leave it
     )
 
 
@@ -70,12 +59,15 @@ class Lifting:
         self._planes = _sure_planes(surface)
         faces = surface.faces
         tails, heads = faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1)
-        self._key = tails.astype(np.int64) * len(surface.vertices) + heads
-        self._order = np.argsort(self._key, kind="stable")
+        keys, half_edges, counts = np.unique(
+            tails.astype(np.int64) * len(surface.vertices) + heads, return_index=True, return_counts=True
+        )
+        # An edge of more than two facets is left out.
+        self._keys, self._half_edge = keys[counts == 1], half_edges[counts == 1]
 
     def lifted_rings(self, layers: Layers) -> tuple[Sides, Ints]:
         """Lift the points of layers and insert points on exact surfaces; returns them and the new starts of the rings."""
-        heights = np.repeat(layers.heights, np.diff(layers.layer_starts))
+        heights = layers.heights[layers.ring_layer]
         sides = self.lift(layers)
         return refined(self.surface.exact.rows, sides, heights, layers.ring_starts, layers.closed)
 
@@ -91,9 +83,7 @@ class Lifting:
         kind, region = surface.kind, surface.region
         found.plane_before[i] = np.where(kind[before] == PLANE, region[before], NO_PLANE)
         found.plane_after[i] = np.where(kind[after] == PLANE, region[after], NO_PLANE)
-        heights = np.repeat(
-            np.repeat(layers.heights, np.diff(layers.layer_starts)), np.diff(layers.ring_starts)
-        )[i]
+        heights = np.repeat(layers.heights[layers.ring_layer], np.diff(layers.ring_starts))[i]
         on_forms = place(surface.exact, before, after, heights, i, found)
         free = np.flatnonzero(~on_forms)
         edge = _Edges(surface, up[free], down[free])
@@ -105,12 +95,10 @@ class Lifting:
         count = len(layers.points)
         found = Limits(np.zeros(count), np.zeros(count, np.bool_))
         i, up, down = self._half_edges(layers)
-        surface = self.surface
-        sagittas, before, after = surface.sagittas, up // 3, down // 3
-        tail = surface.faces.reshape(-1)
+        before, after, flat = up // 3, down // 3, self._planes
+        tail, sagittas = self.surface.faces.reshape(-1), self.surface.sagittas
         largest = np.maximum(sagittas.largest[tail[up]], sagittas.largest[tail[down]])
         height = np.maximum(largest, sagittas.typical)
-        flat = self._planes
         reach = OF_SAGITTAS / np.minimum(self._steepness[before], self._steepness[after])
         known = np.isfinite(height) & ~(flat[before] & flat[after])
         found.of_point[i] = np.where(known, height, 0.0) * reach
@@ -121,26 +109,18 @@ class Lifting:
         """Points on the edges of the mesh, and the half-edges that run up and down each.
 
         Facets look outward and solids lie to the left of a contour: the segment that ends at a point is in the facet that runs
-        up its edge, the one that begins there in the facet that runs down. An edge of more than two facets is left out.
+        up its edge, the one that begins there in the facet that runs down.
         """
-        if layers.edge is None:
-            return (np.zeros(0, np.int64),) * 3
+        none = np.zeros(0, np.int64)
+        if layers.edge is None or not self._keys.size:
+            return none, none, none
         low, high = layers.edge.astype(np.int64).T
         count = len(self.surface.vertices)
-        ways = [self._only(low * count + high), self._only(high * count + low)]
-        i = np.flatnonzero((low >= 0) & (ways[0] >= 0) & (ways[1] >= 0))
-        return i, ways[0][i], ways[1][i]
-
-    def _only(self, keys: Ints) -> Ints:
-        """The one half-edge of each key; -1 for none, or for more than one."""
-        if not self._key.size:
-            return np.full(keys.size, -1)
-        in_order = self._key[self._order]
-        first = np.searchsorted(in_order, keys)
-        at = np.minimum(first, in_order.size - 1)
-        after = np.minimum(first + 1, in_order.size - 1)
-        alone = (in_order[at] == keys) & ((in_order[after] != keys) | (after == at))
-        return np.where(alone, self._order[at], -1)
+        keys = np.stack([low * count + high, high * count + low])
+        at = np.minimum(np.searchsorted(self._keys, keys), self._keys.size - 1)
+        i = np.flatnonzero((low >= 0) & (self._keys[at] == keys).all(axis=0))
+        up, down = self._half_edge[at[:, i]]
+        return i, up, down
 
 
 def _sure_planes(surface: PartSurface) -> Bools:
@@ -148,19 +128,13 @@ def _sure_planes(surface: PartSurface) -> Bools:
 
     Slivers make some pairs of facets of a curved surface coplanar.
     """
-    corners = surface.vertices[surface.faces]
-    areas = 0.5 * np.linalg.norm(
-        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
-    )
+    areas = np.linalg.norm(area_vectors(surface.vertices[surface.faces]), axis=1)
     label, forms = surface.exact
     plane = (surface.kind == PLANE) & ~np.append(forms[:, KIND] != FLAT, False)[label]
-    if (surface.kind == PLANE).all():
-        return np.asarray(plane)
-    wide = (
-        np.bincount(surface.region, areas)[surface.region]
-        > PLANE_FACETS * areas[surface.kind != PLANE].mean()
-    )
-    return np.asarray(plane & wide)
+    if not (surface.kind == PLANE).all():
+        least_mm2 = 4.0 * areas[surface.kind != PLANE].mean()
+        plane &= np.bincount(surface.region, areas)[surface.region] > least_mm2
+    return np.asarray(plane)
 
 
 class _Edges:
@@ -188,17 +162,15 @@ class _Edges:
         low = self._bend(np.where(ruled, self.down_low, self.up_low), self.down_low)
         high = self._bend(np.where(ruled, self.down_high, self.up_high), self.down_high)
         planes = self.kinds[0] == PLANE, self.kinds[1] == PLANE
-        strips = (self.kinds[0] == STRIP) & (self.kinds[1] == STRIP)
-        straight = np.where(
-            self.smooth, planes[0] | planes[1] | (strips & ~self.same_strip), planes[0] & planes[1]
-        )
+        ruling = (self.kinds[0] == STRIP) & (self.kinds[1] == STRIP) & ~self.same_strip
+        straight = np.where(self.smooth, planes[0] | planes[1] | ruling, planes[0] & planes[1])
         lesser = np.minimum(_dot(low, low), _dot(high, high))
         inflected = _dot(low, high) >= 0.0
-        straight |= inflected & (lesser >= LARGEST_INFLECTION**2 * _dot(self.chord, self.chord))
+        # Bends of more than 5 degrees to opposite sides show a flat side between curved ones.
+        straight |= inflected & (lesser >= np.sin(np.deg2rad(5.0)) ** 2 * _dot(self.chord, self.chord))
         evened = [b * np.sqrt(lesser / np.maximum(_dot(b, b), 1e-300))[:, None] for b in (low, high)]
-        low, high = (
-            np.where(self.same_strip[:, None], b, e) for b, e in zip((low, high), evened, strict=True)
-        )
+        strip = self.same_strip[:, None]
+        low, high = np.where(strip, low, evened[0]), np.where(strip, high, evened[1])
         low[straight] = high[straight] = 0.0
         return low, high
 
@@ -208,7 +180,7 @@ class _Edges:
         along = np.cross(normal, other)
         square = _dot(along, along)
         crease = along * (_dot(self.chord, along) / np.maximum(square, 1e-300))[:, None] - self.chord
-        crease[square < LEAST_CREASE * LEAST_CREASE] = 0.0
+        crease[square < 0.01] = 0.0  # below a sine of 0.1 between both sides its direction is unknown
         return np.where(self.smooth[:, None], across, crease)
 
 
@@ -224,14 +196,8 @@ def _lift(edge: _Edges, limits: LiftLimits, i: Ints, height: Floats, t: Floats, 
     low, high = low * share[:, None], high * share[:, None]
     curved = np.flatnonzero(share * most > 0.0)
     t = t.copy()
-    t[curved] = _places(
-        edge.start[curved, 2],
-        edge.chord[curved, 2],
-        low[curved, 2],
-        high[curved, 2],
-        height[curved],
-        t[curved],
-    )
+    start, rise, bend, other = (column[curved, 2] for column in (edge.start, edge.chord, low, high))
+    t[curved] = _places(start - height[curved], rise, bend, other, t[curved])
     s = 1.0 - t
     ahead = edge.start + edge.chord * t[:, None] + (t * s * s)[:, None] * low - (t * t * s)[:, None] * high
     move = ahead[:, :2] - found.points[i]
@@ -246,14 +212,12 @@ def _lift(edge: _Edges, limits: LiftLimits, i: Ints, height: Floats, t: Floats, 
     found.smooth[i] = edge.smooth
 
 
-def _places(
-    start: Floats, rise: Floats, bend_low: Floats, bend_high: Floats, height: Floats, t: Floats
-) -> Floats:
-    """Parameters at which curved edges pass heights: Newton's steps, kept within halves that hold them."""
+def _places(start: Floats, rise: Floats, bend_low: Floats, bend_high: Floats, t: Floats) -> Floats:
+    """Parameters at which curved edges pass height 0: Newton's steps, kept within halves that hold them."""
     found = t.copy()
-    columns = np.stack([t, np.zeros(t.size), np.ones(t.size), start - height, rise, bend_low, bend_high])
+    columns = np.stack([t, np.zeros(t.size), np.ones(t.size), start, rise, bend_low, bend_high])
     i = np.arange(t.size)
-    for _ in range(MOST_STEPS):
+    for _ in range(60):  # as many halvings reach rounding
         t, a, b, begin, rise, low, high = columns
         s = 1.0 - t
         off = begin + rise * t + t * s * (s * low - t * high)
@@ -263,7 +227,7 @@ def _places(
         following = t - off / np.where(slope != 0.0, slope, 1e-300)
         following = np.where((a < following) & (following < b), following, 0.5 * (a + b))
         found[i] = following
-        moving = np.flatnonzero(np.abs(following - t) > SAME_PLACE)
+        moving = np.flatnonzero(np.abs(following - t) > 1e-14)
         if not moving.size:
             break
         i = i[moving]
@@ -274,12 +238,61 @@ def _places(
 def _direction(low: Floats, high: Floats, t: Floats) -> Floats:
     """Directions of a contour with the solid to its left, from outward normals; NaN where there is none."""
     normal = low * (1.0 - t)[:, None] + high * t[:, None]
-    sideways = np.hypot(normal[:, 0], normal[:, 1])
+    sideways = np.hypot(normal[:, 0], normal[:, 1])[:, None]
     turned = np.column_stack([-normal[:, 1], normal[:, 0]])
-    return np.where(
-        (sideways > LEAST_SIDEWAYS)[:, None], turned / np.maximum(sideways, 1e-300)[:, None], np.nan
-    )
+    return np.where(sideways > 1e-6, turned / np.maximum(sideways, 1e-300), np.nan)
 
 
 def _dot(a: Floats, b: Floats) -> Floats:
     return np.asarray(np.einsum("ij,ij->i", a, b))
+
+
+# -- The mesh edge under each contour point, by geometry, for slicers that do not return it. --------------------
+
+
+def with_edges(layers: Layers, part: Part, tolerance_mm: float) -> Layers | None:
+    """Layers with the mesh edge of each point; None if they are not contours of the part: less than half of their points get one.
+
+    A layer cuts an edge whose lower end is not above it, and whose upper end is. A point gets the edge whose cut is nearest, if
+    that is within `tolerance_mm`.
+    """
+    if layers.edge is not None:
+        return layers
+    count = len(layers.points)
+    edge, edge_t = np.full((count, 2), -1, np.int32), np.zeros(count)
+    ends = _edges(part)
+    low, high = part.vertices[ends[:, 0]], part.vertices[ends[:, 1]]
+    by_low = np.argsort(low[:, 2], kind="stable")
+    sorted_low = low[by_low, 2]
+    starts = layers.ring_starts[layers.layer_starts]
+    reach_mm = float(np.nextafter(tolerance_mm, np.inf))
+
+    def work(first: int, last: int) -> None:
+        for k in range(first, last):
+            z, rows = float(layers.heights[k]), np.arange(starts[k], starts[k + 1])
+            begun = by_low[: int(np.searchsorted(sorted_low, z, side="right"))]
+            cut = begun[high[begun, 2] > z]
+            if not cut.size or not rows.size:
+                continue
+            t = (z - low[cut, 2]) / (high[cut, 2] - low[cut, 2])
+            places = low[cut, :2] + t[:, None] * (high[cut] - low[cut])[:, :2]
+            away, nearest = cKDTree(places).query(layers.points[rows], distance_upper_bound=reach_mm)
+            near = np.isfinite(away)
+            chosen = np.asarray(nearest)[near]
+            edge[rows[near]], edge_t[rows[near]] = ends[cut[chosen]], t[chosen]
+
+    run_blocks(work, len(layers))
+    if count and np.count_nonzero(edge[:, 0] >= 0) < 0.5 * count:
+        return None  # traced from a raster
+    return replace(layers, edge=edge, edge_t=edge_t)
+
+
+def _edges(part: Part) -> Index:
+    """Edges of the mesh that are not level, each once, lower vertex first, (E, 2)."""
+    pairs = np.concatenate([part.faces[:, [0, 1]], part.faces[:, [1, 2]], part.faces[:, [2, 0]]])
+    z = part.vertices[:, 2]
+    turned = z[pairs[:, 0]] > z[pairs[:, 1]]
+    pairs[turned] = pairs[turned][:, ::-1]
+    pairs = pairs[z[pairs[:, 0]] < z[pairs[:, 1]]]
+    key = pairs[:, 0].astype(np.int64) * len(part.vertices) + pairs[:, 1]
+    return np.ascontiguousarray(pairs[np.unique(key, return_index=True)[1]], dtype=np.int32)

@@ -11,73 +11,46 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ebamcheck.curves.splitting import STRAIGHT_RATIO, angles, around, from_a_split, longest_beside
+from ebamcheck.columns_file import starts_of
+from ebamcheck.curves.runs import STRAIGHT_RATIO, angles, around, from_a_split, longest_beside
+from ebamcheck.geometry.raster import each_of
 from ebamcheck.kernels import Bools, Floats, Ints, kernel
 from ebamcheck.mesh.topology import Index
 from ebamcheck.settings.stages import CurveSettings
 from ebamcheck.threads import run_blocks
 
-RINGS_A_BLOCK = 16
-
-LARGEST_TURN_RAD = np.deg2rad(60.0)
-"""A smooth mesh edge at which the contour turns by more than this is the tip of a thin feature: it counts as a corner."""
-
 FLAT_MM = 2e-5
 """A smooth point this near to the chord of its neighbours, in place and direction, is removed: facets of one flat side meet
 there. It is the 32-bit rounding of coordinates of some hundred mm."""
-
-IN_PLANE_MM = 1e-3
-"""A point inside a plane is removed if it lies this near to the chord of its neighbours: the rounding of a file's decimals, and
-the least distance of contour points. Not every point in a plane is: around a level one the contour turns."""
-
 
 NO_PLANE = -1  # Number of the plane of a segment that is in none
 NO_FORM = -1  # Number of the exact surface of a segment that is on none
 
 
 class Sides(NamedTuple):
-    """Points of contours, with the directions in which a contour enters and leaves each."""
+    """Points of contours (N), and what is known of the segments that end (`before`) and begin (`after`) at each."""
 
     points: Floats  # (N, 2) mm
-    before: (
-        Floats  # (N, 2) unit direction on the side of the segment that ends at the point; NaN where unknown
-    )
-    after: (
-        Floats  # (N, 2) unit direction on the side of the segment that begins at the point; NaN where unknown
-    )
+    before: Floats  # (N, 2) unit direction in which the contour arrives; NaN where unknown
+    after: Floats  # (N, 2) unit direction in which it leaves; NaN where unknown
     smooth: Bools  # (N,) whether the contour has no corner at the point
     unknown: Bools  # (N,) whether nothing is known of the segment after the point: no facet
-    plane_before: Index  # (N,) plane in which the segment that ends at the point lies; NO_PLANE for none
-    plane_after: Index  # (N,) plane in which the segment that begins at the point lies
-    share: Floats
-    """(N,) share, 0 .. 1, of the lift and bend demanded by the normals that is applied at the point; 0 where they are noise: its
-    segments stay chords."""
-    plausible: (
-        Floats  # (N,) plausible height of the surface over the facets there, over the sine of their slope, mm
-    )
-    form_before: Index
-    """(N,) exact surface on which the segment that ends at the point lies, whose section has its direction there;
-    :data:`NO_FORM` for none."""
-    form_after: Index  # (N,) exact surface on which the segment that begins at the point lies
+    plane_before: Index  # (N,) plane in which the segment lies; NO_PLANE for none
+    plane_after: Index
+    share: Floats  # (N,) share, 0 .. 1, of lift and bend that is made at the point; 0 where the normals are noise
+    plausible: Floats  # (N,) plausible height of the surface over the facets, over their sine of slope, mm
+    form_before: Index  # (N,) exact surface whose section the segment follows; NO_FORM for none
+    form_after: Index
 
 
 def as_they_are(points: Floats) -> Sides:
     """Sides of points (N, 2) of which nothing but their places is known."""
     count = len(points)
-    unknown = np.full((count, 2), np.nan)
-    return Sides(
-        points,
-        unknown,
-        unknown.copy(),
-        np.zeros(count, np.bool_),
-        np.ones(count, np.bool_),
-        np.full(count, NO_PLANE, np.int32),
-        np.full(count, NO_PLANE, np.int32),
-        np.ones(count),
-        np.full(count, np.inf),
-        np.full(count, NO_FORM, np.int32),
-        np.full(count, NO_FORM, np.int32),
-    )
+    unknown, none = np.full((count, 2), np.nan), np.full(count, -1, np.int32)
+    no, yes = np.zeros(count, np.bool_), np.ones(count, np.bool_)
+    ones, infinite = np.ones(count), np.full(count, np.inf)
+    planes, forms = (none, none.copy()), (none.copy(), none.copy())
+    return Sides(points, unknown, unknown.copy(), no, yes, *planes, ones, infinite, *forms)
 
 
 class OrientedContours(NamedTuple):
@@ -85,12 +58,9 @@ class OrientedContours(NamedTuple):
 
     points: Floats  # (K, 2) mm
     starts: Ints  # (R + 1,) first point of each ring; a closed ring's last segment goes from its last point to its first
-    before: Floats
-    """(K,) angle from the chord of the segment before the point to the contour's direction at its end, rad; positive to the
-    left."""
-    after: Floats
-    """(K,) angle from the contour's direction at the start of the segment after the point to its chord, rad. On a circle
-    both angles of a segment are half of the angle that it spans."""
+    # On a circle both angles of a segment are half of what it spans; positive to the left.
+    before: Floats  # (K,) angle from the chord before the point to the contour's direction at its end, rad
+    after: Floats  # (K,) angle from the contour's direction at the start of the chord after the point to that, rad
     corner: Bools  # (K,) whether the point is a corner, or the end of an open path
     straight: Bools  # (K,) whether the segment after the point is a straight line
 
@@ -109,30 +79,23 @@ def orient(
     def work(first: int, last: int) -> None:
         _thin_rings(sides, ring_starts, closed, settings.near_point_mm, first, last, rows, sizes)
 
-    run_blocks(work, closed.size, RINGS_A_BLOCK)
-    starts = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
-    kept = np.arange(starts[-1]) + np.repeat(ring_starts[:-1] - starts[:-1], sizes)
-    bends = _Bends(sides, rows[kept], starts, closed)
+    run_blocks(work, closed.size, 16)
+    starts = starts_of(sizes)
+    ring, place = each_of(sizes)
+    bends = _Bends(sides, rows[ring_starts[ring] + place], starts, closed)
     bends.find_corners(float(np.deg2rad(180.0 - settings.corner_angle_deg)))
     bends.set_angles()
     bends.keep_plausible()
     bends.mark_straight(settings.straight_run_mm)
     share = sides.share[bends.rows]
-    bends.straighten(
-        (share == 0.0) & (share[bends.next] == 0.0)
-    )  # a curve through noise is noisier than its chords
+    # A curve through noise is noisier than its chords.
+    bends.straighten((share == 0.0) & (share[bends.next] == 0.0))
     bends.straighten(bends.bulges() > largest_bulge_mm)
-    few = np.repeat(sizes < 3, sizes)
+    few = sizes[ring] < 3
     corner, straight = bends.corner | few, bends.straight | few
     order = from_a_split(corner | straight | straight[bends.previous], starts, closed)
-    return OrientedContours(
-        sides.points[bends.rows[order]],
-        starts,
-        bends.before[order],
-        bends.after[order],
-        corner[order],
-        straight[order],
-    )
+    points, before, after = sides.points[bends.rows[order]], bends.before[order], bends.after[order]
+    return OrientedContours(points, starts, before, after, corner[order], straight[order])
 
 
 class _Bends:
@@ -143,8 +106,7 @@ class _Bends:
         sizes = np.diff(starts)
         _, self.next, self.previous = around(starts)
         open_ = (sizes > 0) & ~closed
-        self.last = np.zeros(rows.size, np.bool_)
-        """Points after which an open path has no segment."""
+        self.last = np.zeros(rows.size, np.bool_)  # points after which an open path has no segment
         self.last[starts[1:][open_] - 1] = True
         self.end = self.last.copy()
         self.end[starts[:-1][open_]] = True
@@ -152,8 +114,8 @@ class _Bends:
         self.length = np.hypot(*self.chord.T)
         self.turn = angles(self.chord[self.previous], self.chord)
         form = sides.form_after[rows]
+        # Whether the segment after each point lies on an exact surface at both of its ends.
         self.sure = (form != NO_FORM) & (form == sides.form_before[rows[self.next]])
-        """Whether the segment after each point lies on an exact surface at both of its ends."""
         self.corner = np.zeros(rows.size, np.bool_)
         self.straight = np.zeros(rows.size, np.bool_)
 
@@ -161,7 +123,8 @@ class _Bends:
         """Creases are corners; so are points of unknown direction that turn far, and the ends of open paths."""
         smooth, turn = self.sides.smooth[self.rows], np.abs(self.turn)
         sharp = ~smooth & ~np.isnan(self.sides.before[self.rows, 0])
-        self.corner = np.where(smooth, turn > LARGEST_TURN_RAD, sharp | (turn > largest_turn)) | self.end
+        # A smooth mesh edge at which the contour turns by more than 60 degrees is the tip of a thin feature.
+        self.corner = np.where(smooth, turn > np.deg2rad(60.0), sharp | (turn > largest_turn)) | self.end
 
     def set_angles(self) -> None:
         """Angles between chords and directions; a segment whose direction at a corner is unknown bends as at its other end."""
@@ -255,6 +218,11 @@ class _Bends:
 # -- Thinning: contour points that carry no shape are removed, those too near to others and those inside straight sides.
 
 
+IN_PLANE_MM = 1e-3
+"""A point inside a plane is removed if it lies this near to the chord of its neighbours: the rounding of a file's decimals, and
+the least distance of contour points. Not every point in a plane is: around a level one the contour turns."""
+
+
 @kernel
 def _thin_rings(
     sides: Sides,
@@ -302,19 +270,15 @@ def _thin_rings(
             p, q = rows[a + (n - 1 if n else size - 1)], rows[a + (k + 1) % size]
             flat = False
             in_plane = sides.plane_after[i] != NO_PLANE and sides.plane_before[i] == sides.plane_after[i]
-            if (
-                inner
-                and n + size - k > 3
-                and (in_plane or (sides.smooth[i] and not np.isnan(sides.before[i, 0])))
-            ):
+            smooth = sides.smooth[i] and not np.isnan(sides.before[i, 0])
+            if inner and n + size - k > 3 and (in_plane or smooth):
                 # In a plane, or smooth and on the chord of its neighbours in place and direction.
                 x, y = points[q, 0] - points[p, 0], points[q, 1] - points[p, 1]
                 u, v = points[i, 0] - points[p, 0], points[i, 1] - points[p, 1]
                 long, off = np.hypot(x, y), abs(x * v - y * u)
                 tilt = abs(x * sides.before[i, 1] - y * sides.before[i, 0])
-                flat = (
-                    0.0 < x * u + y * v < long * long and off < (IN_PLANE_MM if in_plane else FLAT_MM) * long
-                )
+                flat = 0.0 < x * u + y * v < long * long
+                flat = flat and off < (IN_PLANE_MM if in_plane else FLAT_MM) * long
                 flat = flat and (in_plane or 0.25 * tilt < FLAT_MM)
             if not flat:
                 rows[a + n] = i

@@ -3,32 +3,22 @@ put between them where one cubic would not follow the section."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
+from ebamcheck.columns_file import starts_of
 from ebamcheck.curves.oriented_contours import NO_FORM, NO_PLANE, Sides
-from ebamcheck.curves.splitting import angles
+from ebamcheck.curves.runs import angles, around
 from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.surface.exact_forms import FLAT, KIND, SIDE, signed_distances
 from ebamcheck.surface.exact_surfaces import ExactSurfaces
 
-MOST_STEPS = 40
-"""Most Newton steps; each doubles the digits, so a few are enough unless the surface is nearly level."""
-
+MOST_STEPS = 40  # Most Newton steps; each doubles the digits, so a few are enough on all but level surfaces
 CLOSE_MM = 1e-10  # A point this near to a surface lies on it
 
 LEAST_SLOPE = 0.02
 """Horizontal part of a unit gradient below which a surface is level in the layer: a point does not determine its section."""
 
-LEAST_SINE = np.sin(np.deg2rad(5.0))
-"""Least sine of the angle between the sections of two surfaces at which these determine a common point."""
-
 MOST_GROWTH = 3.0  # Farthest move of a point, over its first-order distance from the surface: a section farther off is another one
-
-SMOOTH_COSINE = np.cos(np.deg2rad(0.5))
-"""Least cosine between the directions of two sections at which a contour is smooth. A larger angle would let the uncertain
-place of their joint bend a long segment beside a small rounding."""
 
 
 def on_one(rows: Floats, places: Floats) -> tuple[Bools, Floats]:
@@ -63,10 +53,11 @@ def on_both(rows: Floats, others: Floats, places: Floats) -> tuple[Bools, Floats
     slopes = np.hypot(one[:, 1], one[:, 2]), np.hypot(two[:, 1], two[:, 2])
     known = (slopes[0] >= LEAST_SLOPE) & (slopes[1] >= LEAST_SLOPE)
     product = np.maximum(slopes[0] * slopes[1], 1e-300)
-    touching = known & (np.abs(one[:, 1] * two[:, 2] - one[:, 2] * two[:, 1]) < LEAST_SINE * product)
-    allowed = CLOSE_MM + MOST_GROWTH * sum(
-        np.abs(off[:, 0]) / np.maximum(slope, 1e-300) for off, slope in zip((one, two), slopes, strict=True)
-    )
+    # Sections that make an angle of less than 5 degrees determine no common point.
+    sine = np.abs(one[:, 1] * two[:, 2] - one[:, 2] * two[:, 1])
+    touching = known & (sine < np.sin(np.deg2rad(5.0)) * product)
+    ways = [np.abs(o[:, 0]) / np.maximum(s, 1e-300) for o, s in zip((one, two), slopes, strict=True)]
+    allowed = CLOSE_MM + MOST_GROWTH * (ways[0] + ways[1])
     for _ in range(MOST_STEPS):
         far = np.maximum(np.abs(one[:, 0]), np.abs(two[:, 0])) > CLOSE_MM
         moving = np.flatnonzero(known & ~touching & far)
@@ -79,26 +70,19 @@ def on_both(rows: Floats, others: Floats, places: Floats) -> tuple[Bools, Floats
         moving, a, b, determinant = moving[~lost], a[~lost], b[~lost], determinant[~lost]
         at[moving, 0] -= (a[:, 0] * b[:, 2] - b[:, 0] * a[:, 2]) / determinant
         at[moving, 1] -= (a[:, 1] * b[:, 0] - b[:, 1] * a[:, 0]) / determinant
-        one[moving], two[moving] = (
-            signed_distances(rows[moving], at[moving]),
-            signed_distances(others[moving], at[moving]),
-        )
+        one[moving] = signed_distances(rows[moving], at[moving])
+        two[moving] = signed_distances(others[moving], at[moving])
     close = np.maximum(np.abs(one[:, 0]), np.abs(two[:, 0])) <= CLOSE_MM
     met = known & ~touching & close & (np.hypot(*(at - places)[:, :2].T) <= allowed)
     found = np.where(met[:, None], at[:, :2], places[:, :2])
     k = np.flatnonzero(touching)
     if k.size:
-        met[k], found[k] = _midway(rows[k], others[k], places[k])
+        (near, a), (far, b) = on_one(rows[k], places[k]), on_one(others[k], places[k])
+        flat = rows[k, KIND] == FLAT, others[k, KIND] == FLAT
+        met[k] = np.where(flat[0], near, np.where(flat[1], far, near & far))
+        share = np.where(flat[0], 0.0, np.where(flat[1], 1.0, 0.5))[:, None]
+        found[k] = np.where(met[k, None], (1.0 - share) * a + share * b, places[k, :2])
     return met, found
-
-
-def _midway(rows: Floats, others: Floats, places: Floats) -> tuple[Bools, Floats]:
-    """Midway between the places on two surfaces that touch; a plane stays one."""
-    ways = [on_one(r, places) for r in (rows, others)]
-    flat = rows[:, KIND] == FLAT, others[:, KIND] == FLAT
-    known = np.where(flat[0], ways[0][0], np.where(flat[1], ways[1][0], ways[0][0] & ways[1][0]))
-    share = np.where(flat[0], 0.0, np.where(flat[1], 1.0, 0.5))[:, None]
-    return known, np.where(known[:, None], (1.0 - share) * ways[0][1] + share * ways[1][1], places[:, :2])
 
 
 def directions(rows: Floats, places: Floats) -> tuple[Bools, Floats]:
@@ -135,7 +119,9 @@ def place(exact: ExactSurfaces, before: Ints, after: Ints, heights: Floats, i: I
     rows = i[k[known]]
     found.points[rows] = at[known]
     found.before[rows], found.after[rows] = ways[0][1][known], ways[1][1][known]
-    found.smooth[rows] = np.einsum("ij,ij->i", ways[0][1], ways[1][1])[known] >= SMOOTH_COSINE
+    # A joint of more than half a degree is a corner: its uncertain place would let a larger one bend a long segment beside it.
+    cosine = np.einsum("ij,ij->i", ways[0][1], ways[1][1])[known]
+    found.smooth[rows] = cosine >= np.cos(np.deg2rad(0.5))
     found.form_before[rows] = np.where(curved[one], one, NO_FORM)[known]
     found.form_after[rows] = np.where(curved[two], two, NO_FORM)[known]
     done[k[known]] = True
@@ -145,11 +131,6 @@ def place(exact: ExactSurfaces, before: Ints, after: Ints, heights: Floats, i: I
 # -- Refinement: points are inserted into a contour, on the section of its exact surface, where a cubic would not follow that.
 
 
-LARGEST_SPAN_RAD = np.deg2rad(
-    20.0
-)  # Largest turn of a section along one cubic, which then follows it to some 1e-5 of its length
-LEAST_SPAN_RAD = np.deg2rad(1.0)  # Turn of a section below which it is as good as straight
-UNEVEN = 0.05  # Largest difference between the angles at the two ends of a segment, over their sum, for one as good as circular
 MOST_PARTS = 32  # Most parts into which a segment is divided
 
 
@@ -162,10 +143,7 @@ def refined(
     """
     if not len(forms):
         return sides, ring_starts
-    sizes = np.diff(ring_starts)
-    ring = np.repeat(np.arange(closed.size), sizes)
-    following = np.arange(1, ring.size + 1)
-    following[ring_starts[1:][sizes > 0] - 1] = ring_starts[:-1][sizes > 0]
+    ring, following, _ = around(ring_starts)
     form = sides.form_after
     asked = (form != NO_FORM) & (form == sides.form_before[following])
     asked &= closed[ring] | (following > np.arange(ring.size))
@@ -174,16 +152,16 @@ def refined(
     kept: dict[int, tuple[Ints, Floats, Floats]] = {}
     count = 1
     while pending.size:
-        j = following[pending]
-        found = _divided(forms[form[pending]], sides, pending, j, heights[ring[pending]], count)
-        good = found.known & (found.followed | (count == MOST_PARTS))
+        own, z = forms[form[pending]], heights[ring[pending]]
+        known, followed, *between = _divided(own, sides, pending, following[pending], z, count)
+        good = known & (followed | (count == MOST_PARTS))
         parts[pending[good]] = count
-        kept[count] = pending[good], found.places[good], found.directions[good]
-        pending = pending[found.known & ~good]
+        kept[count] = pending[good], between[0][good], between[1][good]
+        pending = pending[known & ~good]
         count *= 2
     if (parts == 1).all():
         return sides, ring_starts
-    at = np.concatenate([[0], np.cumsum(parts)]).astype(np.int64)
+    at = starts_of(parts)
     more = Sides._make(np.repeat(column, parts, axis=0) for column in sides)
     for count, (i, places, ways) in kept.items():
         if count == 1 or not i.size:
@@ -197,34 +175,27 @@ def refined(
     return more, at[ring_starts]
 
 
-class _Divided(NamedTuple):
-    """Segments divided into equal parts: whether their sections are known, and cubics follow them; places and directions
-    between."""
+def _divided(
+    rows: Floats, sides: Sides, i: Ints, j: Ints, heights: Floats, parts: int
+) -> tuple[Bools, Bools, Floats, Floats]:
+    """Divide the segments from points i to j on the sections of one surface each, into equal parts.
 
-    known: Bools
-    followed: Bools
-    places: Floats  # (n, parts - 1, 2) mm
-    directions: Floats  # (n, parts - 1, 2) unit vectors
-
-
-def _divided(rows: Floats, sides: Sides, i: Ints, j: Ints, heights: Floats, parts: int) -> _Divided:
-    """Divide the segments from points i to j on the sections of one surface each."""
+    Returns whether their sections are known, whether cubics follow them, and the places and directions (n, parts - 1, 2) between.
+    """
     n = i.size
     p, q = sides.points[i], sides.points[j]
     share = (np.arange(1, parts) / parts)[None, :, None]
     chords = p[:, None] + (q - p)[:, None] * share
     places = np.concatenate([chords, np.repeat(heights, parts - 1).reshape(n, -1, 1)], axis=2).reshape(-1, 3)
     every = np.repeat(rows, parts - 1, axis=0)
-    known, at = on_one(every, places)
-    places[:, :2] = at
+    known, places[:, :2] = on_one(every, places)
     directed, ways = directions(every, places)
-    every_known = np.asarray((known & directed).reshape(n, -1).all(axis=1))
-    at, ways = at.reshape(n, -1, 2), ways.reshape(n, -1, 2)
-    points = np.concatenate([p[:, None], at, q[:, None]], axis=1)
-    starts = np.concatenate([sides.after[i][:, None], ways], axis=1)
-    ends = np.concatenate([ways, sides.before[j][:, None]], axis=1)
-    chord = np.diff(points, axis=1)
-    start, end = angles(starts, chord), angles(chord, ends)
+    at, ways = places[:, :2].reshape(n, -1, 2), ways.reshape(n, -1, 2)
+    chord = np.diff(np.concatenate([p[:, None], at, q[:, None]], axis=1), axis=1)
+    start = angles(np.concatenate([sides.after[i][:, None], ways], axis=1), chord)
+    end = angles(chord, np.concatenate([ways, sides.before[j][:, None]], axis=1))
+    # A cubic that spans no more than 20 degrees follows the section to some 1e-5 of its length, if its ends bend alike.
     span = np.abs(start) + np.abs(end)
-    uneven = (span > LEAST_SPAN_RAD) & (np.abs(start - end) > UNEVEN * span)
-    return _Divided(every_known, ~((span > LARGEST_SPAN_RAD) | uneven).any(axis=1), at, ways)
+    uneven = (span > np.deg2rad(1.0)) & (np.abs(start - end) > 0.05 * span)
+    follows = ~((span > np.deg2rad(20.0)) | uneven).any(axis=1)
+    return np.asarray((known & directed).reshape(n, -1).all(axis=1)), follows, at, ways

@@ -18,8 +18,9 @@ if TYPE_CHECKING:
     from shapely.geometry.base import BaseGeometry
 
 SEGMENTS_A_LEAF = 4  # segments in one leaf of the tree
-# Depth of the largest tree that memory could hold, and so the most nodes a search has waiting
-MOST_LEVELS = 64
+MOST_LEVELS = (
+    64  # depth of the largest tree that memory could hold, and so the most nodes a search has waiting
+)
 
 
 class SegmentTree(NamedTuple):
@@ -29,12 +30,9 @@ class SegmentTree(NamedTuple):
     second half of the nodes are the leaves in the order of the segments.
     """
 
-    segments: Floats
-    """(n, 4) ``x0, y0, x1, y1``."""
-    boxes: Floats
-    """(nodes, 4) xmin, ymin, xmax, ymax; inverted for a node without segments."""
-    waiting: Ints
-    """Working memory for the nodes still to visit; so one search at a time."""
+    segments: Floats  # (n, 4) x0, y0, x1, y1
+    boxes: Floats  # (nodes, 4) xmin, ymin, xmax, ymax; inverted for a node without segments
+    waiting: Ints  # working memory for the nodes still to visit; so one search at a time
 
 
 class Nearest(NamedTuple):
@@ -42,8 +40,7 @@ class Nearest(NamedTuple):
 
     distance: float
     segment: int
-    t: float
-    """Place along the segment, 0 .. 1."""
+    t: float  # place along the segment, 0 .. 1
 
 
 def segments_of(lines: BaseGeometry) -> Floats:
@@ -62,12 +59,8 @@ def segments_along(points: Floats, closed: bool) -> Floats:
     result = np.empty((count, 4))
     for i in range(count):
         k = i + 1 if i + 1 < len(points) else 0
-        result[i, 0], result[i, 1], result[i, 2], result[i, 3] = (
-            points[i, 0],
-            points[i, 1],
-            points[k, 0],
-            points[k, 1],
-        )
+        result[i, 0], result[i, 1] = points[i, 0], points[i, 1]
+        result[i, 2], result[i, 3] = points[k, 0], points[k, 1]
     return result
 
 

@@ -17,20 +17,14 @@ from shapely.geometry.base import BaseGeometry
 from ebamcheck.geometry.regions import mean_width_mm, ring_columns, valid_polygons
 from ebamcheck.kernels import Floats, Ints, kernel
 
+# Samples across a bead: the tip that a round bead leaves of a square corner then has thirty of them
 SAMPLES_PER_BEAD = 24
-"""Samples across a bead: the tip that a round bead leaves of a square corner then has thirty of them."""
-
-SAMPLES_PER_WALL = 4
-"""Samples across the section where it is narrower than a bead."""
-
+SAMPLES_PER_WALL = 4  # samples across the section where it is narrower than a bead
+# Samples on the rectangle around a section at least: a small one is known to about 0.1 % then, too
 FEWEST_SAMPLES = 100_000
-"""Samples on the rectangle around a section at least: a small one is known to about 0.1 % then, too."""
-
-MOST_SAMPLES = 4_000_000
-"""Samples on one layer; a larger one is sampled more coarsely."""
-
+MOST_SAMPLES = 4_000_000  # samples on one layer; a larger one is sampled more coarsely
+# Samples across a bead at most: a hair of metal, a thousand times narrower, lies under any bead
 MOST_PER_BEAD = 1000
-"""Samples across a bead at most: a hair of metal, a thousand times narrower, lies under any bead."""
 
 
 def covered_fraction(section: BaseGeometry, segments: Floats, bead_width_mm: float) -> float:

@@ -19,37 +19,23 @@ from ebamcheck.errors import GeometryError
 from ebamcheck.geometry.nearest import distances, segments_of
 from ebamcheck.kernels import Floats, Ints
 
+# Chords in a quarter turn around an inward corner. Arcs, not mitres: they keep the distance exactly, the gun goes around without a
+# stop, and mitred offsets of GEOS 3.14 lose whole regions or grow NaN points
 ARC_SEGMENTS = 16
-"""Chords in a quarter turn around an inward corner. Arcs, not mitres: they keep the distance exactly, the
-gun goes around without a stop, and mitred offsets of GEOS 3.14 lose whole regions or grow NaN points."""
-
-NO_WIDTH_MM = 1e-3
-"""An inset region narrower than this on average has vanished but for rounding."""
-
+NO_WIDTH_MM = 1e-3  # an inset region narrower than this on average has vanished but for rounding
+# Overlap at which a region grown back over another counts as covering it: far under any bead, far over the rounding of offsets, so
+# that differences leave no slivers along common borders
 JOIN_MM = 1e-3
-"""Overlap at which a region grown back over another counts as covering it: far under any bead, far over
-the rounding of offsets, so that differences leave no slivers along common borders."""
-
-WALL_ASPECT = 2.0
-"""Least length over width of a thin wall; rounder pieces are small solids."""
-
-POLYGON = 3
-"""Type of a polygon among shapely's geometries; collections have the greater ones."""
-
+WALL_ASPECT = 2.0  # least length over width of a thin wall; rounder pieces are small solids
+POLYGON = 3  # type of a polygon among shapely's geometries; collections have the greater ones
+# Share of the distance by which GEOS simplifies a border before it moves it (``BufferParameters::simplifyFactor``)
 SIMPLIFIED = 0.01
-"""Share of the distance by which GEOS simplifies a border before it moves it (``BufferParameters::simplifyFactor``)."""
-
+# Places at which an inset must have its border, on every stretch of a side as long as the distance
 SAMPLES = 4.0
-"""Places at which an inset must have its border, on every stretch of a side as long as the distance."""
-
+# Places tried at most, beside one for each side: where the distance is so small, hardly any area may be lacking
 MOST_SAMPLES = 4096
-"""Places tried at most, beside one for each side: where the distance is so small, hardly any area may be lacking."""
-
-ROUNDING = 1e-12
-"""Share of the coordinates that rounding may take."""
-
-JUDGED = 1e-9
-"""Share of the coordinates up to which a distance is mere rounding, and its inset is not judged."""
+ROUNDING = 1e-12  # share of the coordinates that rounding may take
+JUDGED = 1e-9  # share of the coordinates up to which a distance is mere rounding, and its inset is not judged
 
 
 def valid_polygons(geometry: BaseGeometry) -> list[shapely.Polygon]:
@@ -89,9 +75,7 @@ def layer_section(polygons: BaseGeometry | Iterable[BaseGeometry]) -> BaseGeomet
     return parts[0] if parts else shapely.Polygon()
 
 
-def equivalent_rectangles_mm(
-    polygons: Sequence[BaseGeometry] | NDArray[np.object_],
-) -> tuple[Floats, Floats]:
+def equivalent_rectangles_mm(polygons: Sequence[BaseGeometry] | NDArray[np.object_]) -> tuple[Floats, Floats]:
     """Width and length (I,) of the rectangle with the same area and the same border length as a polygon.
 
     A wall that is bent, or closed to a ring, has the width and length of the straight one; anything

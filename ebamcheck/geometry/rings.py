@@ -1,14 +1,11 @@
-"""Kernels on rings of points: area, length, bounds, nesting, point location; and on their columns: order, rotation.
+"""Kernels on rings of points: area, length, bounds, nesting, point location; and the order of columns.
 
 A *ring* is a run of rows of a ``(N, 2)`` point array; it closes implicitly (no repeated end point).
 """
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 
 from ebamcheck.kernels import Bools, Floats, Ints, kernel
 
@@ -139,11 +136,8 @@ def stable_order(values: Floats) -> Ints:
     Columns of contours have few runs, but long ones.
     """
     count = values.size
-    order, merged, borders = (
-        np.empty(count, np.int64),
-        np.empty(count, np.int64),
-        np.empty(count + 1, np.int64),
-    )
+    order, merged = np.empty(count, np.int64), np.empty(count, np.int64)
+    borders = np.empty(count + 1, np.int64)
     runs, start = 0, 0
     while start < count:
         stop = start + 1
@@ -177,13 +171,3 @@ def stable_order(values: Floats) -> Ints:
         borders[runs] = count
         order, merged = merged, order
     return order
-
-
-@kernel
-def rotate_to(values: NDArray[Any], first: int) -> None:
-    """Let values (n,) that close on themselves begin with another one, in place."""
-    before = values.copy()
-    k = first
-    for i in range(values.size):
-        values[i] = before[k]
-        k = k + 1 if k + 1 < values.size else 0

@@ -72,9 +72,8 @@ def ring_form(points: Floats, a: int, b: int, closed: bool) -> tuple[int, int, i
 def ring_forms(points: Floats, ring_starts: Ints, closed: Bools, start: int, stop: int, forms: Ints) -> None:
     """Write :func:`ring_form` of the rings ``[start, stop)`` to the rows of `forms` (R, 3)."""
     for r in range(start, stop):
-        forms[r, 0], forms[r, 1], forms[r, 2] = ring_form(
-            points, ring_starts[r], ring_starts[r + 1], closed[r]
-        )
+        a, b = ring_starts[r], ring_starts[r + 1]
+        forms[r, 0], forms[r, 1], forms[r, 2] = ring_form(points, a, b, closed[r])
 
 
 def ring_order(points: Floats, layer_starts: Ints, forms: Ints) -> tuple[Ints, Ints]:
@@ -83,22 +82,14 @@ def ring_order(points: Floats, layer_starts: Ints, forms: Ints) -> tuple[Ints, I
     kept = np.flatnonzero(forms[:, 0] != DROPPED)
     first, after = points[forms[kept, 0]], points[forms[kept, 2]]
     order = np.lexsort((forms[kept, 1], after[:, 1], after[:, 0], first[:, 1], first[:, 0], layer[kept]))
-    return kept[order], np.concatenate(
-        [[0], np.cumsum(np.bincount(layer[kept], minlength=layer_starts.size - 1))]
-    )
+    sizes = np.bincount(layer[kept], minlength=layer_starts.size - 1)
+    return kept[order], np.concatenate([[0], np.cumsum(sizes)])
 
 
 @kernel
 def rows_in_form(
-    points: Floats,
-    ring_starts: Ints,
-    forms: Ints,
-    order: Ints,
-    new_starts: Ints,
-    start: int,
-    stop: int,
-    rows: Ints,
-) -> None:
+    points: Floats, ring_starts: Ints, forms: Ints, order: Ints, new_starts: Ints, start: int, stop: int, rows: Ints
+) -> None:  # fmt: skip
     """Write the rows of the rings ``order[start:stop]`` in canonical form to `rows`, each ring from ``new_starts[n]`` on."""
     for n in range(start, stop):
         r = order[n]

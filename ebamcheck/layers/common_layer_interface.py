@@ -118,12 +118,9 @@ class _Reading:
                 if match[1] == USER_DATA.encode():
                     values = dict(parsed_json(self.data[match.end() : position]))
                     self.counts["polylines"] = int(values.pop("polylines"))
-                    self.labels = {
-                        "part": str(values["part"]),
-                        "direction": tuple(map(float, values["direction"])),
-                        "backend": str(values["backend"]),
-                        "settings": dict(values["settings"]),
-                    }
+                    direction = tuple(map(float, values["direction"]))
+                    self.labels = {"part": str(values["part"]), "backend": str(values["backend"])}
+                    self.labels |= {"direction": direction, "settings": dict(values["settings"])}
             except (KeyError, TypeError, ValueError):
                 break  # the command stays, and is refused as wrong
             header = header[: match.start()] + _blank(header[match.start() : position]) + header[position:]
@@ -287,24 +284,16 @@ def write_cli(layers: Layers, path: str | Path, *, binary: bool = False) -> None
             f"{path}: layer {k + 1} at {layers.heights[k]} mm is not above the one before it: a slice file needs increasing heights"
             + (" (as 32-bit floats)" if binary else "")
         )
-    lines = [
-        "$$HEADERSTART",
-        "$$BINARY" if binary else "$$ASCII",
-        "$$UNITS/1.0",
-        "$$VERSION/200",
-        "$$LABEL/1,part",
-        f"$$LAYERS/{len(layers)}",
-    ]
+    lines = ["$$HEADERSTART", "$$BINARY" if binary else "$$ASCII", "$$UNITS/1.0", "$$VERSION/200"]
+    lines += ["$$LABEL/1,part", f"$$LAYERS/{len(layers)}"]
     if len(layers.points):
         x0, y0, x1, y1 = layers.bounds()
         box = (x0, y0, float(layers.heights[0]), x1, y1, float(layers.heights[-1]))
         lines.append("$$DIMENSION/" + ",".join(map(repr, box)))
     labels = json.dumps({**json.loads(layers.labels_json()), "polylines": layers.closed.size})
     # Binary data follow directly after the last character of the header.
-    lines += [
-        f"$$USERDATA/{USER_DATA},{len(labels)},{labels}",
-        "$$HEADEREND" + ("" if binary else "\n$$GEOMETRYSTART\n"),
-    ]
+    lines.append(f"$$USERDATA/{USER_DATA},{len(labels)},{labels}")
+    lines.append("$$HEADEREND" + ("" if binary else "\n$$GEOMETRYSTART\n"))
     with replacing(path) as temporary, temporary.open("wb") as file:
         file.write("\n".join(lines).encode("ascii"))
         for k, height in enumerate(heights.tolist()):

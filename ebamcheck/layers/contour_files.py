@@ -20,20 +20,16 @@ from numpy.typing import NDArray
 from ebamcheck.atomic_file import replacing
 from ebamcheck.columns_file import starts_of
 from ebamcheck.errors import InputError, SettingsError
-from ebamcheck.kernels import Floats, Ints
+from ebamcheck.kernels import Bools, Floats, Ints, ShortInts
 from ebamcheck.layers.stack import Layers, canonical, from_paths
 from ebamcheck.mesh.part import Part
 
-TYPES = {name: pa.int64() for name in ("layer", "ring", "closed")} | {
-    name: pa.float64() for name in ("height_mm", "x_mm", "y_mm")
-}
+TYPES = dict.fromkeys(("layer", "ring", "closed"), pa.int64())
+TYPES |= dict.fromkeys(("height_mm", "x_mm", "y_mm"), pa.float64())
 
 
-def stack_of_rings(
-    heights: Floats, ring_layer: Ints, sizes: Ints, closed: NDArray[np.bool_], points: Floats
-) -> Layers:
-    """Stack of the rings of a file, in any order: layer, number of points and whether closed (R,) of each, and all their points (N,
-    2), mm."""
+def stack_of_rings(heights: Floats, ring_layer: Ints, sizes: Ints, closed: Bools, points: Floats) -> Layers:
+    """Stack of rings in any order: layer, number of points and whether closed (R,) of each, and all points (N, 2), mm."""
     order = np.argsort(ring_layer, kind="stable")
     rows = np.argsort(np.repeat(ring_layer, sizes), kind="stable")
     layer_starts = starts_of(np.bincount(ring_layer, minlength=len(heights)))
@@ -41,8 +37,7 @@ def stack_of_rings(
 
 
 def write_csv(layers: Layers, path: str | Path) -> None:
-    """Write the contours as CSV, with the shortest digits that read back to the same bits; a layer without any has one row, without
-    a ring."""
+    """Write the contours as CSV with digits that read back to the same bits; an empty layer has one row without a ring."""
     sizes, layer = np.diff(layers.ring_starts), layers.ring_layer
     empty = np.flatnonzero(np.diff(layers.layer_starts) == 0)
     where = np.concatenate([np.repeat(layer, sizes), empty])
@@ -80,9 +75,7 @@ def read_csv(path: str | Path) -> Layers:
         )
     of_layer, ring, closed = (rows[name].to_numpy() for name in ("layer", "ring", "closed"))
     points = np.column_stack([rows["x_mm"].to_numpy(), rows["y_mm"].to_numpy()])
-    begins = np.flatnonzero(
-        np.diff(of_layer, prepend=0).astype(bool) | np.diff(ring, prepend=-1).astype(bool)
-    )
+    begins = np.flatnonzero((np.diff(of_layer, prepend=0) != 0) | (np.diff(ring, prepend=-1) != 0))
     sizes = np.diff(np.append(begins, len(ring)))
     return stack_of_rings(heights, of_layer[begins] - 1, sizes, closed[begins] != 0, points)
 
@@ -157,9 +150,8 @@ def _stack_of_groups(codes: Ints, texts: NDArray[np.str_]) -> Layers:
     if (texts[(codes == 42) & (light | vertex)].astype(np.float64) != 0.0).any():
         raise ValueError("a polyline has bulges: draw it with straight segments")
     at = (codes == 10) & (light | vertex)
-    points = np.column_stack(
-        [texts[(codes == code) & (light | vertex)].astype(np.float64) for code in (10, 20)]
-    )
+    x, y = (texts[(codes == code) & (light | vertex)].astype(np.float64) for code in (10, 20))
+    points = np.column_stack([x, y])
     closed, level = np.zeros(ring[-1] + 1, np.bool_), np.zeros(ring[-1] + 1)
     flags = (codes == 70) & (light | (kind == "POLYLINE"))
     closed[ring[flags]] = texts[flags].astype(np.int64) & 1 != 0
@@ -179,12 +171,8 @@ def _stack_of_groups(codes: Ints, texts: NDArray[np.str_]) -> Layers:
 
 
 VTK_TYPES = {"<f8": "Float64", "<i8": "Int64", "<i4": "Int32", "|u1": "UInt8"}
-READABLE = {name: dtype for dtype, name in VTK_TYPES.items()} | {
-    "Float32": "<f4",
-    "UInt32": "<u4",
-    "UInt64": "<u8",
-    "Int8": "|i1",
-}
+READABLE = {name: dtype for dtype, name in VTK_TYPES.items()}
+READABLE |= {"Float32": "<f4", "UInt32": "<u4", "UInt64": "<u8", "Int8": "|i1"}
 
 
 def write_part(part: Part, path: str | Path) -> None:
@@ -195,8 +183,7 @@ def write_part(part: Part, path: str | Path) -> None:
 
 
 def write_vtp(layers: Layers, path: str | Path) -> None:
-    """Write every contour as a polyline at its height, appended in base64 so that the file is XML throughout, with ``layer`` (from
-    1), ``area_mm2`` and ``closed`` of each."""
+    """Write every contour as a polyline at its height, appended in base64, with ``layer`` (from 1), ``area_mm2`` and ``closed``."""
     sizes = np.diff(layers.ring_starts)
     heights = np.repeat(layers.heights[layers.ring_layer], sizes)
     # A closed line ends at the point where it starts.
@@ -212,23 +199,20 @@ def write_vtp(layers: Layers, path: str | Path) -> None:
 
 
 def read_vtp(path: str | Path) -> Layers:
-    """Read polylines at heights, from arrays as text or base64, appended or in place, without compression; a line that ends where
-    it starts is closed."""
+    """Read uncompressed polylines at heights, as text or base64; a line that ends where it starts is closed."""
     with _read_as(path, "VTK PolyData with contours at heights"):
         root = ElementTree.parse(path).getroot()
         if root.get("compressor") or root.get("type") != "PolyData":
             raise ValueError("it is compressed, or no PolyData: save it as PolyData without compression")
         points = _array(root, "Points/DataArray").reshape(-1, 3)
-        rows, ends = (
-            _array(root, f"Lines/DataArray[@Name='{name}']").astype(np.int64)
-            for name in ("connectivity", "offsets")
-        )
+        names = ("connectivity", "offsets")
+        rows, ends = (_array(root, f"Lines/DataArray[@Name='{n}']").astype(np.int64) for n in names)
         said = root.find(".//FieldData/DataArray[@Name='height_mm']")
         besides = np.zeros(0) if said is None else _values(root, said)
         return _stack_of_lines(points[rows], np.diff(ends, prepend=0), besides)
 
 
-def _stack_of_lines(points: NDArray[np.float64], sizes: Ints, said: NDArray[np.float64]) -> Layers:
+def _stack_of_lines(points: Floats, sizes: Ints, said: Floats) -> Layers:
     """Contours of lines, one after the other; heights of layers without one are said besides."""
     if (sizes < 2).any() or sizes.sum() != len(points):
         raise ValueError("a line has fewer than two points, or the offsets of lines do not rise")
@@ -267,14 +251,10 @@ def _values(root: ElementTree.Element, array: ElementTree.Element) -> NDArray[An
 
 
 def _write_polydata(
-    path: str | Path,
-    points: NDArray[np.float64],
-    kind: str,
-    cells: tuple[Ints, Ints],
-    cell_data: Mapping[str, NDArray[Any]],
-    point_data: Mapping[str, NDArray[Any]] | None = None,
-    heights: NDArray[np.float64] | None = None,
-) -> None:
+    path: str | Path, points: Floats, kind: str, cells: tuple[Ints, Ints],
+    cell_data: Mapping[str, NDArray[Any]], point_data: Mapping[str, NDArray[Any]] | None = None,
+    heights: Floats | None = None,
+) -> None:  # fmt: skip
     appended: list[bytes] = []
     length = 0
 
@@ -285,10 +265,10 @@ def _write_polydata(
         encoded = base64.b64encode(len(data).to_bytes(8, "little") + data)
         offset, length = length, length + len(encoded)
         appended.append(encoded)
-        return (
-            f'<DataArray type="{VTK_TYPES[little.dtype.str]}" Name={quoteattr(name)} NumberOfComponents="{components}"{more} '
-            f'format="appended" offset="{offset}"/>'
+        kind_of_array = (
+            f'type="{VTK_TYPES[little.dtype.str]}" Name={quoteattr(name)} NumberOfComponents="{components}"'
         )
+        return f'<DataArray {kind_of_array}{more} format="appended" offset="{offset}"/>'
 
     def section(tag: str, *arrays: str) -> list[str]:
         return [f"<{tag}>", *arrays, f"</{tag}>"]
@@ -296,24 +276,25 @@ def _write_polydata(
     numbers = {name: len(cells[1]) if name == kind else 0 for name in ("Verts", "Lines", "Strips", "Polys")}
     counts = " ".join(f'NumberOf{name}="{number}"' for name, number in numbers.items())
     of_stack = {} if heights is None else {"height_mm": heights}
+    fields = [
+        array(name, column, more=f' NumberOfTuples="{len(column)}"') for name, column in of_stack.items()
+    ]
+    of_points = [array(name, column) for name, column in (point_data or {}).items()]
+    of_cells = [array(name, column) for name, column in cell_data.items()]
+    places = array("Points", points, 3)
+    joined = [
+        array(n, np.asarray(c, np.int64)) for n, c in zip(("connectivity", "offsets"), cells, strict=True)
+    ]
     lines = [
         '<?xml version="1.0"?>',
         '<VTKFile type="PolyData" version="1.0" byte_order="LittleEndian" header_type="UInt64">',
         "<PolyData>",
-        *section(
-            "FieldData", *(array(n, c, more=f' NumberOfTuples="{len(c)}"') for n, c in of_stack.items())
-        ),
+        *section("FieldData", *fields),
         f'<Piece NumberOfPoints="{len(points)}" {counts}>',
-        *section("PointData", *(array(name, column) for name, column in (point_data or {}).items())),
-        *section("CellData", *(array(name, column) for name, column in cell_data.items())),
-        *section("Points", array("Points", points, 3)),
-        *section(
-            kind,
-            *(
-                array(n, np.asarray(c, np.int64))
-                for n, c in zip(("connectivity", "offsets"), cells, strict=True)
-            ),
-        ),
+        *section("PointData", *of_points),
+        *section("CellData", *of_cells),
+        *section("Points", places),
+        *section(kind, *joined),
         "</Piece>",
         "</PolyData>",
         '<AppendedData encoding="base64">',
@@ -339,8 +320,7 @@ def keeping_locale() -> Iterator[None]:
 
 
 def write_3mf(layers: Layers, path: str | Path) -> None:
-    """Write closed contours as slices (3MF Slice Extension 1.0), in 32-bit numbers, with the mesh of the part, or a box that is
-    told to be rough."""
+    """Write closed contours as slices (3MF Slice Extension 1.0), in 32-bit numbers, with the part's mesh or a rough box."""
     import lib3mf
 
     bottom, tops = slice_heights(layers)
@@ -419,7 +399,7 @@ def slice_heights(layers: Layers) -> tuple[float, Floats]:
     return float(cuts[0] - 0.5 * steps[0]), np.append(borders, cuts[-1] + 0.5 * steps[-1])
 
 
-def _box(layers: Layers, bottom: float, top: float) -> tuple[Floats, NDArray[np.int32]]:
+def _box(layers: Layers, bottom: float, top: float) -> tuple[Floats, ShortInts]:
     if not len(layers.points):
         raise SettingsError("there is no contour on any layer: there is nothing to write as 3MF")
     x0, y0, x1, y1 = layers.bounds()

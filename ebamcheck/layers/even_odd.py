@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ebamcheck.errors import BackendFailed
 from ebamcheck.kernels import Ints
@@ -13,8 +12,7 @@ INSIDE_RULE = "odd"  # inside rule that such a slicer declares
 
 
 def directed_by_nesting(layers: Layers, tolerance_mm: float, name: str) -> Layers:
-    """Orient rings by nesting, and refuse those that cross by more than a tolerance: nothing shows what is solid where shells
-    overlap."""
+    """Orient rings by nesting; rings that cross by more than a tolerance are refused, as they do not show the solid."""
     _refuse_crossing(layers, tolerance_mm, name)
     return oriented_by_nesting(layers)
 
@@ -69,16 +67,12 @@ def _near_pairs(layers: Layers) -> tuple[Ints, Ints]:
     """Pairs of closed rings of one layer whose boxes overlap."""
     boxes, layer = layers.ring_bounds, layers.ring_layer
     most = int(np.diff(layers.layer_starts).max(initial=0))
-    found: list[NDArray[np.int64]] = [np.zeros((2, 0), np.int64)]
+    found: list[Ints] = [np.zeros((2, 0), np.int64)]
     for apart in range(1, most):
         r = np.flatnonzero(layer[apart:] == layer[:-apart])
         s = r + apart
-        near = (
-            (boxes[r, :2] < boxes[s, 2:]).all(axis=1)
-            & (boxes[s, :2] < boxes[r, 2:]).all(axis=1)
-            & layers.closed[r]
-            & layers.closed[s]
-        )
+        near = (boxes[r, :2] < boxes[s, 2:]).all(axis=1) & (boxes[s, :2] < boxes[r, 2:]).all(axis=1)
+        near &= layers.closed[r] & layers.closed[s]
         found.append(np.stack([r[near], s[near]]))
     first, second = np.concatenate(found, axis=1)
     return first, second

@@ -1,5 +1,4 @@
-"""Layers in files: a format for each suffix, and Parquet, one row a layer, written and read in blocks of layers, every number bit
-for bit."""
+"""Layers in files: one format a suffix, of which Parquet keeps every number bit for bit, in blocks, one row a layer."""
 
 from __future__ import annotations
 
@@ -80,10 +79,8 @@ def from_arrow(batch: pa.RecordBatch | pa.Table, where: str = "record batch") ->
     labels = labels_of(batch.schema, "layers", VERSION, LABELS, where)
     table = ReadTable(batch, where)
     with_edges = any(name in batch.schema.names for name in _EDGES)
-    columns, (layer_starts, ring_starts) = table.alike(
-        _POINTS | (_EDGES if with_edges else {}),
-        "column {name!r} does not have the rings and points of column {first!r}",
-    )
+    differs = "column {name!r} does not have the rings and points of column {first!r}"
+    columns, (layer_starts, ring_starts) = table.alike(_POINTS | (_EDGES if with_edges else {}), differs)
     points = np.empty((columns["x"].size, 2))
     points[:, 0], points[:, 1] = columns["x"], columns["y"]
     closed, (starts,) = table.nested("closed", _KINDS["closed"])
@@ -143,8 +140,7 @@ def write_parquet(layers: Layers, path: str | Path) -> None:
 
 
 def write_blocks(blocks: Iterable[Layers], path: str | Path) -> int:
-    """Write blocks of one stack to a Parquet file, one while the next is made, which appears when the last is written; returns the
-    number of layers."""
+    """Write blocks of one stack to a Parquet file, which appears when the last is written; returns the number of layers."""
     count = 0
     with replacing(path) as temporary, ExitStack() as opened:
         file: pq.ParquetWriter | None = None
@@ -178,8 +174,7 @@ def read_parquet(path: str | Path) -> Layers:
 
 
 class LayerFile:
-    """A stack in a Parquet file, held open, of which blocks are read, without `edges` the contours alone; :class:`InputError` for
-    damaged pages."""
+    """An open Parquet file of layers, read in blocks, without `edges` the contours alone."""
 
     def __init__(self, path: str | Path, edges: bool = True) -> None:
         self.path = Path(path)
@@ -275,8 +270,7 @@ class KeptBlocks:
         return layers if fits else None
 
     def is_worth(self, cut_s: float) -> bool:
-        """Whether a block that took `cut_s` to cut is worth keeping, by how long the last one took to write: at most a fifth of
-        that."""
+        """Whether a block that took `cut_s` to cut is worth keeping: writing the last one took at most a fifth of that."""
         return cut_s >= 5.0 * self._write_s
 
     def write(self, layers: Layers) -> None:

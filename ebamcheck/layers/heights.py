@@ -12,10 +12,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ebamcheck.errors import SettingsError
-from ebamcheck.kernels import Floats
+from ebamcheck.kernels import Floats, Ints
 from ebamcheck.mesh.bodies import volumes_between
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.part_source import PlatePart
@@ -27,7 +27,7 @@ LARGEST_STACK = 1_000_000  # most layers of a stack: more come from a mistyped l
 LARGEST_BLOCK = 1024
 
 
-def layer_heights(part: Part, layer_height: float) -> NDArray[np.float64]:
+def layer_heights(part: Part, layer_height: float) -> Floats:
     """Heights of the middles of uniform layers, from the part's lowest point up, (L,) mm.
 
     The number of layers is the part's height over the layer height, rounded to the nearest, at least 1;
@@ -70,7 +70,7 @@ def layer_heights(part: Part, layer_height: float) -> NDArray[np.float64]:
     return np.asarray(bottom + (np.arange(count) + 0.5) * layer_height, dtype=np.float64)
 
 
-def checked_heights(heights: ArrayLike) -> NDArray[np.float64]:
+def checked_heights(heights: ArrayLike) -> Floats:
     """Heights as a float64 column; raises :class:`SettingsError` if one is not finite."""
     column = np.asarray(heights, dtype=np.float64).reshape(-1)
     wrong = np.flatnonzero(~np.isfinite(column))
@@ -80,12 +80,12 @@ def checked_heights(heights: ArrayLike) -> NDArray[np.float64]:
     return column
 
 
-def is_rising(heights: NDArray[np.float64]) -> bool:
+def is_rising(heights: Floats) -> bool:
     """Whether each height is above the one before it."""
     return bool((np.diff(heights) > 0.0).all())
 
 
-def crossing_counts(part: Part, heights: ArrayLike) -> NDArray[np.int64]:
+def crossing_counts(part: Part, heights: ArrayLike) -> Ints:
     """Number of facets with ``min z <= h < max z`` at each height, (L,): those that a section at h + 0 cuts."""
     planes = np.asarray(heights, dtype=np.float64).reshape(-1)
     order = np.argsort(planes, kind="stable")
@@ -99,9 +99,8 @@ def crossing_counts(part: Part, heights: ArrayLike) -> NDArray[np.int64]:
     return counts
 
 
-def layer_blocks(part: Part, heights: ArrayLike, most_points: int) -> NDArray[np.int64]:
-    """Borders (B + 1,) from 0 to L of blocks of layers, of at most so many points (one a cut facet) or of one layer; ``[0, 0]``
-    without a layer."""
+def layer_blocks(part: Part, heights: ArrayLike, most_points: int) -> Ints:
+    """Borders (B + 1,), 0 to L, of blocks of layers of at most so many points (one a cut facet), or of one layer."""
     ends = np.cumsum(crossing_counts(part, heights))
     borders = [0]
     while borders[-1] < ends.size:
@@ -123,8 +122,7 @@ def cut_heights(part: Part, config: Config) -> Floats:
 
 
 def heights_within(part: Part, heights: ArrayLike, named: str) -> Floats:
-    """Return heights that all cut the part, its lowest point (the section is that at z = h + 0) and its highest among them; `named`
-    tells who gave them."""
+    """Return heights from the part's lowest point (cut at z = h + 0) to its highest, as `named` in the error otherwise."""
     column = checked_heights(heights)
     low, high = part.bounds[:, 2].tolist()
     outside = np.flatnonzero((column < low) | (column > high))
@@ -171,14 +169,9 @@ class LayerRule:
 
 
 def layer_rule(
-    part: Part,
-    cuts: Floats,
-    borders: Floats,
-    areas: Floats,
-    volumes: Floats,
-    least_face_mm2: float,
+    part: Part, cuts: Floats, borders: Floats, areas: Floats, volumes: Floats, least_face_mm2: float,
     allowed_mm: float = 0.0,
-) -> LayerRule:
+) -> LayerRule:  # fmt: skip
     """Hold layers of one section each against the solid; what lies under the lowest border counts neither here nor there.
 
     Layers are cut at `cuts` (L,), lie between `borders` (L + 1,), mm, and have sections of `areas` (L,), mm2; `volumes` (L + 1,) of
@@ -208,13 +201,10 @@ def layer_rule(
     added = plus + np.maximum(off - of_faces, 0.0)
     # A layer cannot add more than it has, nor leave out more than there is.
     added = np.clip(added, np.maximum(off, 0.0), np.maximum(np.minimum(laid, off + volumes[:-1]), 0.0))
-    lacking = added - off
-    return LayerRule(
-        whole,
-        float(np.maximum(added - wanted, 0.0).sum()),
-        float(lacking.sum() + volumes[-1]),
-        tuple(sorted(counted, key=lambda face: -abs(face.area_mm2 * face.added_mm))),
-    )
+    unwanted_mm3 = float(np.maximum(added - wanted, 0.0).sum())
+    lacking_mm3 = float((added - off).sum() + volumes[-1])
+    counted.sort(key=lambda face: -abs(face.area_mm2 * face.added_mm))
+    return LayerRule(whole, unwanted_mm3, lacking_mm3, tuple(counted))
 
 
 def level_faces(part: Part, least_mm2: float) -> list[LevelFace]:

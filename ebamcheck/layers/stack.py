@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, overload
@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ebamcheck.errors import SettingsError
 from ebamcheck.geometry import rings
-from ebamcheck.kernels import Bools, Floats, Ints
+from ebamcheck.kernels import Bools, Floats, Ints, ShortInts
 from ebamcheck.layers.canonical_form import ring_forms, ring_order, rows_in_form
 from ebamcheck.showing import short_text
 from ebamcheck.showing.columns import LayerColumns, outline_svg
@@ -73,11 +73,8 @@ class Layer:
     def rings(self) -> tuple[Ring, ...]:
         """Contours in their order in the stack."""
         stack, of = self.stack, self.stack.rings_of(self.index)
-        closed, areas, lengths = (
-            column[of.start : of.stop].tolist()
-            for column in (stack.closed, stack.ring_areas, stack.ring_lengths)
-        )
-        return tuple(map(Ring, map(stack.ring, of), closed, areas, lengths))
+        columns = stack.closed, stack.ring_areas, stack.ring_lengths
+        return tuple(map(Ring, map(stack.ring, of), *(c[of.start : of.stop].tolist() for c in columns)))
 
     @property
     def area_mm2(self) -> float:
@@ -104,21 +101,16 @@ class Layer:
         """Draw the contours on matplotlib axes, each kind of ring in its colour; `style` is of its lines."""
         from ebamcheck.showing.plotting import Lines, plot_lines
 
-        groups = [
-            Lines([_outline(ring) for ring in self.rings if ring.kind == kind], colour)
-            for kind, colour in KIND_COLOURS.items()
-        ]
+        of_kind = {kind: [_outline(r) for r in self.rings if r.kind == kind] for kind in KIND_COLOURS}
+        groups = [Lines(lines, KIND_COLOURS[kind]) for kind, lines in of_kind.items()]
         return plot_lines(groups, f"layer {self.index + 1}, z = {self.height_mm:.6g} mm", ax, **style)
 
     def __repr__(self) -> str:
         kinds = [ring.kind for ring in self.rings] if len(self) <= 1000 else []
-        return short_text.line(
-            f"Layer [{self.index}]",
-            f"z = {self.height_mm:.6g} mm",
-            *(f"{kinds.count(k)} {k}" for k in ("outer", "hole", "open path") if k in kinds),
-            "" if kinds else short_text.counted(len(self), "ring"),
-            f"{self.area_mm2:.6g} mm2",
-        )
+        counts = [f"{kinds.count(k)} {k}" for k in KIND_COLOURS if k in kinds]
+        counts = counts or [short_text.counted(len(self), "ring")]
+        name, z, area = f"Layer [{self.index}]", f"z = {self.height_mm:.6g} mm", f"{self.area_mm2:.6g} mm2"
+        return short_text.line(name, z, *counts, area)
 
     def _repr_html_(self) -> str:
         """Show the layer in a notebook."""
@@ -183,7 +175,7 @@ class Layers(LayerColumns[Layer]):
     ring_starts: Ints
     layer_starts: Ints
     closed: Bools
-    edge: NDArray[np.int32] | None = None
+    edge: ShortInts | None = None
     edge_t: Floats | None = None
     part: str = ""
     direction: tuple[float, float, float] = UP
@@ -225,11 +217,8 @@ class Layers(LayerColumns[Layer]):
         """Draw every contour at its height, on three-dimensional matplotlib axes; `style` is of its lines."""
         from ebamcheck.showing.plotting import Lines, plot_in_space
 
-        lines = [
-            np.column_stack([outline, np.full(len(outline), layer.height_mm)])
-            for layer in self
-            for outline in map(_outline, layer)
-        ]
+        outlines = [(layer.height_mm, _outline(ring)) for layer in self for ring in layer]
+        lines = [np.column_stack([points, np.full(len(points), z_mm)]) for z_mm, points in outlines]
         title = short_text.counted(len(self), "layer")
         return plot_in_space(Lines(lines, KIND_COLOURS["outer"], 0.5), title, ax, **style)
 
@@ -308,8 +297,7 @@ class Layers(LayerColumns[Layer]):
         return range(int(self.layer_starts[layer]), int(self.layer_starts[layer + 1]))
 
     def polygons(self, layer: int) -> list[shapely.Polygon]:
-        """Solid regions of a layer as valid shapely polygons with holes: within outer rings where the winding number by the rings
-        around is over 0."""
+        """Solid regions of a layer, where the winding number is over 0, as valid shapely polygons with holes."""
         import shapely
 
         from ebamcheck.geometry.regions import valid_polygons
@@ -318,12 +306,9 @@ class Layers(LayerColumns[Layer]):
         for r in self.rings_of(layer):
             if self.ring_areas[r] < 0 and self.parents[r] >= 0:
                 holes.setdefault(int(self.parents[r]), []).append(self.ring(r))
-        found = [
-            shapely.Polygon(self.ring(r), holes.get(r, []))
-            for r in self.rings_of(layer)
-            if self.ring_areas[r] > 0 and self._winding_inside(r) > 0
-        ]
-        return [part for polygon in found for part in valid_polygons(polygon)]
+        outer = [r for r in self.rings_of(layer) if self.ring_areas[r] > 0 and self._winding_inside(r) > 0]
+        polygons = [shapely.Polygon(self.ring(r), holes.get(r, [])) for r in outer]
+        return [part for polygon in polygons for part in valid_polygons(polygon)]
 
     def section(self, layer: int) -> BaseGeometry:
         """Solid region of a layer as one valid geometry, made anew each time: who prepares it shares it with nobody."""
@@ -342,34 +327,32 @@ class Layers(LayerColumns[Layer]):
     def take(self, layers: ArrayLike) -> Layers:
         """Select layers by index, in the order given (repeats allowed)."""
         wanted = np.asarray(layers, dtype=np.int64).reshape(-1)
-        ring_index, layer_starts = _expand(self.layer_starts, wanted)
-        rows, ring_starts = _expand(self.ring_starts, ring_index)
-        return replace(
-            self,
-            heights=self.heights[wanted],
-            points=self.points.take(rows, axis=0),  # many times faster than fancy indexing of rows
-            ring_starts=ring_starts,
-            layer_starts=layer_starts,
-            closed=self.closed[ring_index],
-            edge=None if self.edge is None else self.edge.take(rows, axis=0),
-            edge_t=None if self.edge_t is None else self.edge_t[rows],
-            dropped=self.dropped[wanted],
-        )
+        rings, layer_starts = _expand(self.layer_starts, wanted)
+        rows, ring_starts = _expand(self.ring_starts, rings)
+        # Many times faster than fancy indexing of rows.
+        return self._chosen(wanted, rings, lambda c: c.take(rows, axis=0), ring_starts, layer_starts)
 
     def block(self, start: int, stop: int) -> Layers:
         """Layers ``start .. stop - 1``, as views where possible."""
         a, b = int(self.layer_starts[start]), int(self.layer_starts[stop])
         p, q = int(self.ring_starts[a]), int(self.ring_starts[b])
+        ring_starts, layer_starts = self.ring_starts[a : b + 1] - p, self.layer_starts[start : stop + 1] - a
+        return self._chosen(slice(start, stop), slice(a, b), lambda c: c[p:q], ring_starts, layer_starts)
+
+    def _chosen(
+        self, layers: Any, rings: Any, rows: Callable[[Any], Any], ring_starts: Ints, layer_starts: Ints
+    ) -> Layers:
+        """Some layers, rings and rows of points, under the starts that they then have."""
         return replace(
             self,
-            heights=self.heights[start:stop],
-            points=self.points[p:q],
-            ring_starts=self.ring_starts[a : b + 1] - p,
-            layer_starts=self.layer_starts[start : stop + 1] - a,
-            closed=self.closed[a:b],
-            edge=None if self.edge is None else self.edge[p:q],
-            edge_t=None if self.edge_t is None else self.edge_t[p:q],
-            dropped=self.dropped[start:stop],
+            heights=self.heights[layers],
+            points=rows(self.points),
+            ring_starts=ring_starts,
+            layer_starts=layer_starts,
+            closed=self.closed[rings],
+            edge=None if self.edge is None else rows(self.edge),
+            edge_t=None if self.edge_t is None else rows(self.edge_t),
+            dropped=self.dropped[layers],
         )
 
     def labelled(self, **labels: Any) -> Layers:
@@ -383,18 +366,10 @@ class Layers(LayerColumns[Layer]):
 
 
 def canonical(
-    heights: ArrayLike,
-    points: ArrayLike,
-    ring_starts: ArrayLike,
-    layer_starts: ArrayLike,
-    closed: ArrayLike,
-    *,
-    edge: NDArray[np.int32] | None = None,
-    edge_t: Floats | None = None,
-    **labels: Any,
-) -> Layers:
-    """Bring raw rings, columns as of :class:`Layers` in any order within a layer, into canonical form; directions stay, rings
-    without area go (`dropped`)."""
+    heights: ArrayLike, points: ArrayLike, ring_starts: ArrayLike, layer_starts: ArrayLike,
+    closed: ArrayLike, *, edge: ShortInts | None = None, edge_t: Floats | None = None, **labels: Any,
+) -> Layers:  # fmt: skip
+    """Bring raw rings, in any order within a layer, into canonical form; rings without area are `dropped`."""
     heights = np.ascontiguousarray(heights, dtype=np.float64)
     points = np.ascontiguousarray(points, dtype=np.float64).reshape(-1, 2)
     ring_starts = np.ascontiguousarray(ring_starts, dtype=np.int64)
@@ -405,11 +380,8 @@ def canonical(
     order, new_layer_starts = ring_order(points, layer_starts, forms)
     new_ring_starts = np.concatenate([[0], np.cumsum(forms[order, 1])])
     rows = np.empty(int(new_ring_starts[-1]), np.int64)
-    run_blocks(
-        lambda a, b: rows_in_form(points, ring_starts, forms, order, new_ring_starts, a, b, rows),
-        order.size,
-        RINGS_A_BLOCK,
-    )
+    columns = points, ring_starts, forms, order, new_ring_starts
+    run_blocks(lambda a, b: rows_in_form(*columns, a, b, rows), order.size, RINGS_A_BLOCK)
     return Layers(
         heights=heights,
         points=points[rows],

@@ -1,5 +1,4 @@
-"""Pictures of layers as self-contained SVG, y up, reduced to what a screen shows: one layer, an overlay of several slicers, or a
-sheet of layers."""
+"""Pictures of layers as self-contained SVG, reduced to what a screen shows: one layer, an overlay, or a sheet of layers."""
 
 from __future__ import annotations
 
@@ -72,15 +71,9 @@ def layer_svg(
 
 
 def overlay_svg(
-    stacks: Mapping[str, Layers],
-    layer: int,
-    *,
-    width_px: int = 800,
-    box: Box | None = None,
-    title: str | None = None,
-) -> str:
-    """Draw one layer of several slicers on top of each other, each with its own colour and dash, and a legend; see
-    :func:`layer_svg`."""
+    stacks: Mapping[str, Layers], layer: int, *, width_px: int = 800, box: Box | None = None, title: str | None = None
+) -> str:  # fmt: skip
+    """Draw one layer of several slicers as in :func:`layer_svg`, each with its own colour and dash, and a legend."""
     if not stacks:
         raise SettingsError("no stacks to draw over each other: give at least one")
     chosen = [(layers, index_of(layer, len(layers))) for layers in stacks.values()]
@@ -99,8 +92,7 @@ def overlay_svg(
 def sheet_svg(
     layers: Layers, *, width_px: int = 1200, columns: int = 4, most: int = 16, exact: bool = False
 ) -> str:
-    """Draw up to `most` layers side by side at one scale; `exact` holds all contours of all layers with every digit, those not
-    chosen hidden."""
+    """Draw up to `most` layers side by side at one scale; `exact` holds all contours with every digit, the others hidden."""
     if not len(layers):
         raise SettingsError("no layers to draw: the stack is empty")
     count = min(most, len(layers))
@@ -143,13 +135,7 @@ def read_stack(path: str | Path) -> Layers:
             raise ValueError(f"it has no group with {HEIGHT}")
         heights = [float(group.get(HEIGHT, "")) for group in groups]
         lines = [[line for path in group for line in path.get("d", "").split("M")[1:]] for group in groups]
-        layers = [
-            [
-                (np.array(line.rstrip("Z").replace(",", " ").split(), np.float64), line.endswith("Z"))
-                for line in layer
-            ]
-            for layer in lines
-        ]
+        layers = [[(_points(line), line.endswith("Z")) for line in layer] for layer in lines]
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
     except (ElementTree.ParseError, ValueError) as error:
@@ -168,13 +154,13 @@ def _exact(layers: Layers, k: int, view: _View, shown: bool) -> Markup:
         for kind, end, fill, stroke in (("region", "Z", SOLID, RING), ("open", "", "none", OPEN))
         if (data := [_data(layers.ring(r), end) for r in layers.rings_of(k) if layers.closed[r] == bool(end)])
     ]
-    return element(
-        "g",
-        *paths,
-        transform=f"matrix({scale!r} 0 0 {-scale!r} {view.left_px - x0 * scale!r} {view.top_px + y1 * scale!r})",
-        display=None if shown else "none",
-        **{HEIGHT: repr(float(layers.heights[k]))},
-    )
+    place = f"matrix({scale!r} 0 0 {-scale!r} {view.left_px - x0 * scale!r} {view.top_px + y1 * scale!r})"
+    height = {HEIGHT: repr(float(layers.heights[k]))}
+    return element("g", *paths, transform=place, display=None if shown else "none", **height)
+
+
+def _points(data: str) -> Floats:
+    return np.array(data.rstrip("Z").replace(",", " ").split(), np.float64)
 
 
 def _data(points: Floats, end: str) -> str:
@@ -282,9 +268,8 @@ def _reduced(points: Floats, closed: bool, tolerance_mm: float) -> Floats:
     def simplified(line: Floats) -> Floats:
         if len(line) < 3:
             return line
-        return np.asarray(
-            shapely.get_coordinates(shapely.LineString(line).simplify(tolerance_mm, preserve_topology=False))
-        )
+        simple = shapely.LineString(line).simplify(tolerance_mm, preserve_topology=False)
+        return np.asarray(shapely.get_coordinates(simple))
 
     if not closed:
         return simplified(points)

@@ -9,10 +9,17 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ebamcheck.kernels import Bools, Floats, kernel
-from ebamcheck.mesh.topology import EdgeGroups, Index, body_labels, direction_balance, duplicates, edge_groups
+from ebamcheck.kernels import Bools, Floats, Ints, kernel
+from ebamcheck.mesh.topology import (
+    EdgeGroups,
+    Index,
+    body_labels,
+    components,
+    direction_balance,
+    duplicates,
+    edge_groups,
+)
 
 if TYPE_CHECKING:
     from manifold3d import Manifold
@@ -188,7 +195,7 @@ class _Look:
         relations = sorted(self._relations(inside, overlapping), key=lambda r: (not r.lost, r.body))
         return Bodies(self.label, self.volumes, tuple(relations), whole, signed, known)
 
-    def _related(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def _related(self) -> tuple[Ints, Ints]:
         """Pairs (N, 2) of a body and one that it lies in, and pairs of bodies that overlap."""
         inside, overlapping = [], []
         pairs = self._near()
@@ -203,7 +210,7 @@ class _Look:
                     overlapping.append((body, outer))
         return np.array(inside, np.int64).reshape(-1, 2), np.array(overlapping, np.int64).reshape(-1, 2)
 
-    def _near(self) -> NDArray[np.int64]:
+    def _near(self) -> Ints:
         """Pairs (N, 2) of bodies whose boxes share a volume: the smaller, or later, and the larger one."""
         pairs = boxes_meeting(self.lower, self.upper, self.aside_mm)
         self.known = len(pairs) <= MOST_PAIRS
@@ -264,20 +271,15 @@ class _Look:
             self._solids[body] = solid if solid.status() == manifold3d.Error.NoError else None
         return self._solids[body]
 
-    def _volume(self, inside: NDArray[np.int64], overlapping: NDArray[np.int64]) -> float | None:
+    def _volume(self, inside: Ints, overlapping: Ints) -> float | None:
         """Volume of the places with a winding number over 0; None where it is not found."""
-        from scipy.sparse import coo_array  # which loads when it is needed
-        from scipy.sparse.csgraph import connected_components
-
         sign = np.sign(self.volumes).astype(np.int64)
         outer = np.bincount(inside[:, 0], sign[inside[:, 1]], self.count).astype(np.int64)
         # A surface counts where the winding number changes between 0 and more.
         counts = (outer + sign > 0).astype(np.int64) - (outer > 0)
         cluster = np.full(self.count, -1)
         if overlapping.size:
-            a, b = np.concatenate([inside, overlapping]).T
-            graph = coo_array((np.ones(len(a)), (a, b)), (self.count, self.count))
-            _, joined = connected_components(graph, directed=False)
+            joined = components(self.count, *np.concatenate([inside, overlapping]).T)
             cut = np.isin(joined, joined[overlapping[:, 0]])
             cluster[cut] = joined[cut]
         volume = float((counts * np.abs(self.volumes))[cluster < 0].sum())
@@ -310,7 +312,7 @@ class _Look:
             whole = whole + (solid - void)
         return float(whole.volume())
 
-    def _relations(self, inside: NDArray[np.int64], overlapping: NDArray[np.int64]) -> Iterator[Relation]:
+    def _relations(self, inside: Ints, overlapping: Ints) -> Iterator[Relation]:
         """Each body in the smallest one around it, and each pair that overlaps."""
         size = np.abs(self.volumes)
         innermost: dict[int, int] = {}
@@ -329,9 +331,8 @@ class _Look:
         return Relation(body + 1, other + 1, kind, same, lower, upper)
 
 
-def boxes_meeting(lower: Floats, upper: Floats, deep_mm: float) -> NDArray[np.int64]:
-    """Pairs (N, 2) of boxes by their corners (B, 3), the later one first, that share more than a depth; all, or over
-    :data:`MOST_PAIRS`."""
+def boxes_meeting(lower: Floats, upper: Floats, deep_mm: float) -> Ints:
+    """Pairs (N, 2) of boxes (B, 3), the later first, that share more than a depth: all, or over :data:`MOST_PAIRS`."""
     import shapely
 
     boxes = np.asarray(shapely.box(*lower[:, :2].T, *upper[:, :2].T), object)
@@ -359,22 +360,15 @@ def _layers(solids: list[Manifold], count: int) -> list[Manifold]:
     return found
 
 
-def windings(
-    points: Floats, corners: Floats, at: NDArray[np.int64], facet: NDArray[np.int64]
-) -> NDArray[np.int64]:
+def windings(points: Floats, corners: Floats, at: Ints, facet: Ints) -> Ints:
     """Winding number (N,) at points: facets over it that look up, less those that look down; of pairs of a point and a facet."""
-    p, (a, b, c) = points[at], np.moveaxis(corners[facet], 1, 0)
-    s = np.stack(
-        [
-            (v[:, 0] - u[:, 0]) * (p[:, 1] - u[:, 1]) - (v[:, 1] - u[:, 1]) * (p[:, 0] - u[:, 0])
-            for u, v in ((b, c), (c, a), (a, b))
-        ],
-        axis=1,
-    )
+    (x, y, z), (a, b, c) = points[at].T, np.moveaxis(corners[facet], 1, 0)
+    sides = ((u.T, v.T) for u, v in ((b, c), (c, a), (a, b)))
+    s = np.stack([(v[0] - u[0]) * (y - u[1]) - (v[1] - u[1]) * (x - u[0]) for u, v in sides], axis=1)
     whole = s.sum(axis=1)
     over = ((s > 0.0).all(axis=1) | (s < 0.0).all(axis=1)) & (whole != 0.0)
     above = np.zeros(len(at), np.bool_)
-    above[over] = (s[over] * corners[facet[over], :, 2]).sum(axis=1) / whole[over] > p[over, 2]
+    above[over] = (s[over] * corners[facet[over], :, 2]).sum(axis=1) / whole[over] > z[over]
     return np.bincount(at[above], np.sign(whole[above]), len(points)).astype(np.int64)
 
 

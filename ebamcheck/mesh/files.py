@@ -26,6 +26,9 @@ from ebamcheck.settings.base import UNITS_MM, unit_named
 
 _log = logging.getLogger(__name__)
 
+READERS: dict[str, Callable[..., Any]] = {".obj": read_obj, ".ply": read_ply, ".3mf": read_3mf}
+READERS |= dict.fromkeys((".stl", ""), read_triangles)
+
 
 class Facets(NamedTuple):
     """What a mesh file holds."""
@@ -102,16 +105,9 @@ def read_facets(path: Path) -> Facets:
 
 def _facets_of(data: bytes | memoryview, path: Path) -> Facets:
     suffix = path.suffix.lower()
-    readers: dict[str, Callable[..., Any]] = {
-        ".obj": read_obj,
-        ".ply": read_ply,
-        ".3mf": read_3mf,
-        ".stl": read_triangles,
-        "": read_triangles,
-    }
-    if suffix not in readers:
+    if suffix not in READERS:
         raise InputError(f"{path.name}: {how_to_read(suffix)}")
-    return Facets(*readers[suffix](data, path.name))
+    return Facets(*READERS[suffix](data, path.name))
 
 
 def extent_notes(largest_mm: float, units: str) -> list[str]:

@@ -8,9 +8,8 @@ from functools import reduce
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ebamcheck.kernels import Bools, Floats, kernel
+from ebamcheck.kernels import Bools, Floats, ShortInts, kernel
 from ebamcheck.mesh.bodies import MOST_LISTED, NO_VOLUME, Relation, bodies_of, body_volumes, inside_out_bodies
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.topology import EdgeGroups, Index, body_labels, direction_balance, duplicates, edge_groups
@@ -53,9 +52,8 @@ class Inspection:
     zero_area_facets: int
     inside_out_bodies: int
     open_bodies: int
-    relations: tuple[
-        Relation, ...
-    ]  # how bodies lie to each other: a hundred at most, those first of which something may be lost
+    # How bodies lie to each other: a hundred at most, those first of which something may be lost
+    relations: tuple[Relation, ...]
     related_bodies: int  # how many such relations there are
     union_known: bool  # whether `volume_mm3` is that of the union of all bodies, else it is their sum
     notes: tuple[str, ...]
@@ -127,8 +125,7 @@ def inspect(part: Part) -> Inspection:
 def defects(
     part: Part, groups: EdgeGroups, lower_mm: float = -np.inf, upper_mm: float = np.inf
 ) -> tuple[dict[str, int], Index]:
-    """Figures of the vertices, edges and facets with their lowest point at ``lower_mm <= z < upper_mm``; and facets at open
-    edges."""
+    """Counts of the vertices, edges and facets whose lowest point lies at ``lower_mm <= z < upper_mm``; facets at open edges."""
     z, faces = np.ascontiguousarray(part.vertices[:, 2]), part.faces
 
     def told(*corners: Index) -> Bools:
@@ -152,25 +149,19 @@ def defects(
         "unpaired_edges": more_than_two & unpaired,
         "degenerate_facets": facet_told & repeated,
     }
-    flat = sum(
-        int((np.cross(q - p, r - p) == 0.0).all(axis=1).sum())
-        for start in range(0, len(faces), FACETS_AT_ONCE)
-        for rows in [slice(start, start + FACETS_AT_ONCE)]
-        for p, q, r in [np.moveaxis(part.vertices[faces[rows][whole[rows]]], 1, 0)]
-    )
+    flat = 0
+    for start in range(0, len(faces), FACETS_AT_ONCE):
+        rows = slice(start, start + FACETS_AT_ONCE)
+        p, q, r = np.moveaxis(part.vertices[faces[rows][whole[rows]]], 1, 0)
+        flat += int((np.cross(q - p, r - p) == 0.0).all(axis=1).sum())
     found = {name: int(np.count_nonzero(which)) for name, which in counts.items()}
     return {**found, "duplicate_facets": duplicates(faces[whole]), "zero_area_facets": flat}, facet[is_open]
 
 
 def inspection_of(
-    part: Part,
-    counts: Mapping[str, int],
-    volumes: Floats,
-    relations: Sequence[Relation] = (),
-    **of_bodies: Any,
-) -> Inspection:
-    """Inspection by the figures of :func:`defects` and those of the bodies, of which each encloses one of the signed volumes
-    (B,)."""
+    part: Part, counts: Mapping[str, int], volumes: Floats, relations: Sequence[Relation] = (), **of_bodies: Any
+) -> Inspection:  # fmt: skip
+    """Inspection by the counts of :func:`defects`, the signed volumes (B,) of the bodies, and other figures of them."""
     found = Inspection(
         name=part.name,
         size_mm=tuple(part.size.tolist()),
@@ -190,42 +181,34 @@ def inspection_of(
 
 
 def _judged(found: Inspection, unpaired: int, enclosed_mm3: float) -> tuple[Verdict, str]:
-    """Verdict on the figures of a part, with the reason; `unpaired` edges of more than two facets do not pair up."""
-    if found.open_edges:
-        return "open", (
-            f"{found.open_edges} open edges in {found.open_bodies} of {found.bodies} bodies: "
-            "sections have open paths and no certain inside; close the mesh"
-            + ("; the volume is negative as well: the part is inside-out" if found.volume_mm3 < 0 else "")
-        )
-    if found.inconsistent_edges:
-        return "inconsistent", (
-            f"{found.inconsistent_edges} edges whose two facets run the same way: some facets are flipped; "
-            "turn them in the model, or use --fix-orientation"
-        )
-    if unpaired:
-        return (
-            "non-manifold",
-            f"{unpaired} edges whose facets do not pair up in opposite directions: mend the model",
-        )
-    if enclosed_mm3 <= NO_VOLUME * max(found.size_mm) ** 3:
-        return "flat", f"its facets enclose no volume ({found.volume_mm3:.3g} mm3): there is nothing to build"
-    if found.inside_out_bodies:
-        return "inside-out", (
-            f"{found.inside_out_bodies} of {found.bodies} closed bodies have negative volume "
-            f"(in all {found.volume_mm3:.6g} mm3): every facet faces inwards; turn them in the model, or use --fix-orientation"
-        )
+    """First verdict that applies, with the reason; `unpaired` edges of more than two facets do not pair up."""
+    negative = "; the volume is negative as well: the part is inside-out" if found.volume_mm3 < 0 else ""
     box_mm3 = float(np.prod(found.size_mm))
-    if found.volume_mm3 > (1.0 + 1e-9) * box_mm3:  # over the rounding of a block
-        return "overlapping", (
-            f"its facets enclose {found.volume_mm3:.6g} mm3 in a box of {box_mm3:.6g} mm3: bodies or walls stand in one another; "
-            "unite them in the model"
-        )
-    return "sound", "closed, consistently oriented, volume positive"
+    faults: tuple[tuple[bool, Verdict, str], ...] = (
+        (found.open_edges > 0, "open",
+         (f"{found.open_edges} open edges in {found.open_bodies} of {found.bodies} bodies: "
+         f"sections have open paths and no certain inside; close the mesh{negative}")),
+        (found.inconsistent_edges > 0, "inconsistent",
+         (f"{found.inconsistent_edges} edges whose two facets run the same way: some facets are flipped; "
+         "turn them in the model, or use --fix-orientation")),
+        (unpaired > 0, "non-manifold",
+         f"{unpaired} edges whose facets do not pair up in opposite directions: mend the model"),
+        (enclosed_mm3 <= NO_VOLUME * max(found.size_mm) ** 3, "flat",
+         f"its facets enclose no volume ({found.volume_mm3:.3g} mm3): there is nothing to build"),
+        (found.inside_out_bodies > 0, "inside-out",
+         (f"{found.inside_out_bodies} of {found.bodies} closed bodies have negative volume (in all {found.volume_mm3:.6g} mm3): "
+         "every facet faces inwards; turn them in the model, or use --fix-orientation")),
+        # Over the rounding of a block.
+        (found.volume_mm3 > (1.0 + 1e-9) * box_mm3, "overlapping",
+         (f"its facets enclose {found.volume_mm3:.6g} mm3 in a box of {box_mm3:.6g} mm3: bodies or walls stand in one another; "
+         "unite them in the model")),
+    )  # fmt: skip
+    faulty = next(((verdict, why) for wrong, verdict, why in faults if wrong), None)
+    return faulty or ("sound", "closed, consistently oriented, volume positive")
 
 
 def fix_orientation(part: Part) -> tuple[Part, int]:
-    """Reverse facets until neighbours agree, then closed inside-out bodies that are no cavities; returns the part and the number
-    reversed."""
+    """Reverse facets until neighbours agree and closed bodies face outwards; returns the part and how many were reversed."""
     groups = edge_groups(part.faces, len(part.vertices))
     flip = _consistent_flips(part.faces, groups.half_edges, groups.starts)
     faces = np.where(flip[:, None], part.faces[:, ::-1], part.faces)
@@ -245,9 +228,7 @@ def fix_orientation(part: Part) -> tuple[Part, int]:
 
 
 @kernel
-def _consistent_flips(
-    faces: NDArray[np.int32], half_edges: NDArray[np.int32], starts: NDArray[np.int32]
-) -> NDArray[np.bool_]:
+def _consistent_flips(faces: ShortInts, half_edges: ShortInts, starts: ShortInts) -> Bools:
     """Facets (F,) to turn so that neighbours across two-facet edges run opposite ways; the minority of a body turns."""
     count = faces.shape[0]
     across = np.full(3 * count, -1, np.int32)

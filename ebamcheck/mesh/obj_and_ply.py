@@ -1,5 +1,4 @@
-"""Strict readers of OBJ and PLY files: polygons become triangle fans, and what does not match the format is refused with its
-place."""
+"""Strict readers of OBJ and PLY files: polygons become triangle fans; an error names the place."""
 
 from __future__ import annotations
 

@@ -138,8 +138,7 @@ class Part(Mesh):
         return bodies_of(self).volume_mm3
 
     def along(self, direction: ArrayLike) -> Part:
-        """Rotate the part, once, by the smallest rotation that makes `direction` (in the coordinates of the file) point up; +z
-        changes no bit."""
+        """Rotate the part, once, so that `direction` (in the coordinates of the file) points up; +z changes no bit."""
         target = unit_vector(direction)
         if self.direction != (0.0, 0.0, 1.0):
             raise SettingsError(f"part {self.name!r} is turned to {self.direction} already: load it again")

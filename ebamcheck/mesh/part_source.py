@@ -1,5 +1,4 @@
-"""From the file of a part, or of a plate with several, to the part as it is built: read, repaired, rotated, placed, and mounted on
-a table."""
+"""A part as it is built, from its file or that of a plate: read, repaired, rotated, placed, mounted on a table."""
 
 from __future__ import annotations
 
@@ -65,8 +64,7 @@ def cosine_and_sine(angle_deg: float) -> tuple[float, float]:
 
 
 def placing_of(part: Part, place_at_mm: tuple[float, ...] | None = None, turn_deg: float = 0.0) -> Placing:
-    """Placing that turns a part about the middle of its box, then moves the middle of the turned box to X, Y and, of three, its
-    lowest point to Z."""
+    """Placing about the middle of a part's box, whose turned middle goes to X, Y and, of three, its lowest point to Z."""
     x, y, _ = part.bounds.mean(axis=0).tolist()
     if place_at_mm is None:
         return Placing(turn_deg, (x, y))
@@ -111,8 +109,7 @@ class Plate(Section):
 
 @dataclass(frozen=True)
 class Member:
-    """One part on a plate: where it comes from, where it stands, and its first facet in the plate's mesh and the first one after
-    it."""
+    """One part on a plate: its file, its place, and its facets in the plate's mesh."""
 
     name: str
     source: str
@@ -308,8 +305,7 @@ def rigid_motion(before: Part, now: Part) -> tuple[Floats, Floats]:
 
 
 def on_table(before: Part, now: Part, built_mm: float = 0.0) -> OnTable:
-    """Mounting of a part built up to `built_mm`: `before` as it stood on the table with all axes at 0, `now` in the program of a
-    turned layer."""
+    """Mounting of a part built up to a height: `before` on the table with all axes at 0, `now` in a turned layer's program."""
     turn, shift = rigid_motion(before, now)
     zero = np.array([0.0, 0.0, before.bounds[0, 2]])
     shift = zero @ turn + shift - np.array([0.0, 0.0, now.bounds[0, 2]])

@@ -1,5 +1,4 @@
-"""What the readers of mesh files share: formats that are not read, polygons as triangles, and the refusal of numbers that are
-none."""
+"""Shared by the readers of mesh files: formats that are not read, polygons as triangles, and the refusal of no numbers."""
 
 from __future__ import annotations
 
@@ -22,34 +21,18 @@ EXPORT = (
 
 # Suffixes of formats of surfaces and solids, by the names of the formats
 SOLIDS = {
-    "STEP": (".step", ".stp", ".p21", ".stpz"),
-    "IGES": (".iges", ".igs"),
-    "ACIS": (".sat", ".sab"),
-    "Parasolid": (".x_t", ".x_b", ".xmt_txt", ".xmt_bin"),
-    "JT": (".jt",),
-    "Rhino": (".3dm",),
-    "SolidWorks": (".sldprt", ".sldasm"),
-    "Inventor": (".ipt", ".iam"),
-    "CATIA": (".catpart", ".catproduct"),
-    "NX, Creo or Solid Edge": (".prt", ".asm", ".par", ".psm"),
-    "Fusion": (".f3d", ".f3z"),
-    "FreeCAD": (".fcstd",),
-    "OpenCASCADE": (".brep", ".brp"),
-    "DXF or DWG": (".dxf", ".dwg"),
-}
+    "STEP": (".step", ".stp", ".p21", ".stpz"), "IGES": (".iges", ".igs"), "ACIS": (".sat", ".sab"),
+    "Parasolid": (".x_t", ".x_b", ".xmt_txt", ".xmt_bin"), "JT": (".jt",), "Rhino": (".3dm",),
+    "SolidWorks": (".sldprt", ".sldasm"), "Inventor": (".ipt", ".iam"), "CATIA": (".catpart", ".catproduct"),
+    "NX, Creo or Solid Edge": (".prt", ".asm", ".par", ".psm"), "Fusion": (".f3d", ".f3z"), "FreeCAD": (".fcstd",),
+    "OpenCASCADE": (".brep", ".brp"), "DXF or DWG": (".dxf", ".dwg"),
+}  # fmt: skip
 # Suffixes of mesh formats that are not read, by the names of the formats
 MESHES = {
-    "glTF": (".gltf", ".glb"),
-    "AMF": (".amf",),
-    "OFF": (".off",),
-    "VRML": (".wrl", ".vrml", ".x3d"),
-    "Collada": (".dae",),
-    "FBX": (".fbx",),
-    "Blender": (".blend",),
-    "VTK": (".vtp", ".vtu", ".vtk"),
+    "glTF": (".gltf", ".glb"), "AMF": (".amf",), "OFF": (".off",), "VRML": (".wrl", ".vrml", ".x3d"),
+    "Collada": (".dae",), "FBX": (".fbx",), "Blender": (".blend",), "VTK": (".vtp", ".vtu", ".vtk"),
     "Nastran or Abaqus": (".nas", ".bdf", ".inp"),
-}
-
+}  # fmt: skip
 PROGRAMS = (".gcode", ".g", ".nc", ".mpf", ".spf", ".ngc")  # suffixes of NC programs
 
 
@@ -93,8 +76,7 @@ def polygon_corners(
 
 
 def checked_finite(corners: Corners, name: str, first: int = 0) -> Corners:
-    """Return corner points (F, 3, 3) unchanged; raises :class:`InputError` with the place if one is not finite; `first` is the
-    first facet."""
+    """Return finite corner points (F, 3, 3) unchanged; else :class:`InputError` names the place, counted from facet `first`."""
     wrong = np.argwhere(~np.isfinite(corners))
     if len(wrong):
         facet, corner, axis = wrong[0]

@@ -31,7 +31,7 @@ from ebamcheck.mesh.stl import (
     looks_like_ascii,
     refuse_foreign,
 )
-from ebamcheck.mesh.topology import body_labels, direction_balance, edge_groups, weld
+from ebamcheck.mesh.topology import body_labels, components, direction_balance, edge_groups, weld
 from ebamcheck.settings.base import UNITS_MM, unit_named
 
 BLOCK = 1 << 18  # facets read at once: 13 MB
@@ -216,18 +216,14 @@ class Division:
             vertices *= self.file.millimetres
         box = self.file.outline.vertices
         cones = closing_cones(vertices, faces, lower - self.reach_mm, upper + self.reach_mm)
-        part = replace(
-            self.file.outline,
-            vertices=np.concatenate([vertices, box]),
-            faces=np.ascontiguousarray(np.concatenate([faces, cones])),
-        )
+        joined = np.ascontiguousarray(np.concatenate([faces, cones]))
+        part = replace(self.file.outline, vertices=np.concatenate([vertices, box]), faces=joined)
         own = replace(part, vertices=part.vertices[: len(vertices)], faces=part.faces[: len(faces)])
         return Slab(part, own, numbers, lower, upper, upper - self.reach_mm)
 
 
 def closing_cones(vertices: Floats, faces: Index, lower_mm: float, upper_mm: float) -> Index:
-    """Facets (C, 3) that close the open edges of a mesh below `lower_mm` or above `upper_mm`, to vertices V and V + 1 beyond all
-    others."""
+    """Facets (C, 3) that close open edges below `lower_mm` or above `upper_mm`, to vertices V and V + 1 beyond all others."""
     groups = edge_groups(faces, len(vertices))
     balance = direction_balance(faces, groups)
     odd = np.flatnonzero(balance)
@@ -246,8 +242,7 @@ def closing_cones(vertices: Floats, faces: Index, lower_mm: float, upper_mm: flo
 
 
 def divided(file: FacetFile, heights: Floats, slabs: int, reach_mm: float) -> Division:
-    """Divide layers at ascending heights into slabs of about equal work, each with the facets within a reach that slicers and
-    comparison look."""
+    """Divide layers at ascending heights into slabs of about equal work, each with all facets within a reach."""
     begun = file.counted(file.low, heights, "left")
     # Facets that begin at each height, and those cut there (at z = h + 0).
     begins, crossing = np.diff(begun, prepend=0), begun - file.counted(file.high, heights, "left")
@@ -284,8 +279,7 @@ def slab_layers(begins: Ints, crossing: Ints, slabs: int) -> Ints:
 
 
 class SlabInspection:
-    """Figures of :func:`~ebamcheck.mesh.inspection.inspect` added up over slabs from the lowest on; bodies are joined by facets in
-    two of them."""
+    """Inspection of a part slab by slab, from the lowest on; bodies are joined by facets that lie in two slabs."""
 
     def __init__(self, outline: Part, facets: int) -> None:
         self._outline = outline
@@ -337,12 +331,9 @@ class SlabInspection:
         """Volumes (B,), lower and upper corners of the boxes (B, 3), and whether open (B,), of the bodies."""
         if not self._known:
             return np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, np.bool_)
-        from scipy.sparse import coo_array  # which loads when it is needed
-        from scipy.sparse.csgraph import connected_components
-
         pieces, least, greatest, opened, links = map(np.concatenate, zip(*self._pieces, strict=True))
-        graph = coo_array((np.ones(len(links)), (links[:, 0], links[:, 1])), (self._known, self._known))
-        count, body = connected_components(graph, directed=False)
+        body = components(self._known, *links.T)
+        count = int(body.max()) + 1
         volumes, is_open = np.zeros(count), np.zeros(count, np.bool_)
         lower, upper = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
         np.add.at(volumes, body, pieces)

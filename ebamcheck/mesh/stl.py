@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ebamcheck.errors import InputError
-from ebamcheck.kernels import kernel
+from ebamcheck.kernels import Ints, kernel
 from ebamcheck.mesh.reading import checked_finite, decimal_comma, how_to_read, is_number
 
 HEADER_BYTES = 84
@@ -22,9 +22,8 @@ _ASCII_START = re.compile(rb"\s*solid[^\r\n]*[\r\n]\s*(facet|endsolid)\s", re.IG
 _FACET_BEHIND = rb"(?=facet[ \t]+normal[ \t]+(?:[-+.\d]|nan))"
 _ONE_LINE = re.compile(rb"\s*solid\b[^\r\n]*?[ \t]" + _FACET_BEHIND, re.IGNORECASE)
 _NAME_END = re.compile(rb"(\bsolid\b[^\r\n]*?)[ \t]" + _FACET_BEHIND, re.IGNORECASE)
-_SOLID_BEHIND = re.compile(
-    rb"(\bendsolid\b[^\r\n]*?)[ \t](?=solid\b[^\r\n]*?[ \t]" + _FACET_BEHIND + rb")", re.IGNORECASE
-)
+_SOLID_FACET = rb"solid\b[^\r\n]*?[ \t]" + _FACET_BEHIND
+_SOLID_BEHIND = re.compile(rb"(\bendsolid\b[^\r\n]*?)[ \t](?=" + _SOLID_FACET + rb")", re.IGNORECASE)
 
 # First bytes of other files that people save as .stl, with what to tell them
 FOREIGN = (
@@ -43,8 +42,7 @@ FOREIGN = (
 
 
 def read_triangles(data: bytes | memoryview, name: str) -> tuple[NDArray[np.float32], list[str]]:
-    """Corner points of the facets of an STL file, (F, 3, 3) in its unit, in 32 bits also of an ASCII file, and harmless
-    irregularities."""
+    """Corner points of the facets of an STL file, (F, 3, 3) in its unit, and harmless irregularities."""
     if not data:
         raise InputError(f"{name}: is empty (0 bytes)")
     head = bytes(data[:HEADER_BYTES])
@@ -69,8 +67,7 @@ def binary_count(head: bytes) -> int:
 
 
 def checked_count(head: bytes, size: int, name: str, blank: bool = False) -> tuple[int, list[str]]:
-    """Number of facets of a binary file of so many bytes, of which those behind the last facet may be `blank`, and harmless
-    irregularities."""
+    """Number of facets of a binary file, whose bytes behind the last may be `blank`, and harmless irregularities."""
     count = binary_count(head)
     more = size - HEADER_BYTES - FACET_BYTES * count
     if size < HEADER_BYTES:
@@ -107,17 +104,14 @@ def facet_corners(facets: NDArray[np.uint16], name: str, first: int = 0) -> NDAr
 
 
 def looks_like_ascii(data: bytes) -> bool:
-    """Whether the first line opens a solid, as many binary headers do, and the next word is one that may follow in an ASCII
-    file."""
+    """Whether the first line opens a solid, as many binary headers do, and the next word may follow in an ASCII file."""
     text = data.removeprefix(BYTE_ORDER_MARK)
-    return bool(_ASCII_START.match(text)) or (
-        len(data) < HEADER_BYTES and text.lstrip()[:5].lower() == b"solid"
-    )
+    is_short = len(data) < HEADER_BYTES and text.lstrip()[:5].lower() == b"solid"
+    return is_short or bool(_ASCII_START.match(text))
 
 
 def _names_ended(data: bytes) -> bytes:
-    """Mark the end of a solid's name, in a text of the same length, where a ``facet normal`` with a number follows on the same
-    line."""
+    """Mark the end of a solid's name where ``facet normal`` with a number follows on the same line; the length stays."""
     return _SOLID_BEHIND.sub(b"\\1\x0b", _NAME_END.sub(b"\\1\x0b", data))
 
 
@@ -152,14 +146,9 @@ def _is_word(text: NDArray[np.uint8], start: int, stop: int, word: NDArray[np.ui
 
 @kernel
 def _scan(
-    text: NDArray[np.uint8],
-    words: NDArray[np.uint8],
-    sizes: NDArray[np.int64],
-    solid: NDArray[np.uint8],
-    endsolid: NDArray[np.uint8],
-    starts: NDArray[np.int64],
-    stops: NDArray[np.int64],
-) -> tuple[int, int, int, int]:
+    text: NDArray[np.uint8], words: NDArray[np.uint8], sizes: Ints, solid: NDArray[np.uint8],
+    endsolid: NDArray[np.uint8], starts: Ints, stops: Ints,
+) -> tuple[int, int, int, int]:  # fmt: skip
     """Find the coordinates of all facets: (status, facets, position and expected word of the error)."""
     n = text.size
     i = 0
@@ -207,9 +196,7 @@ def _scan(
 
 
 @kernel
-def _copy_tokens(
-    text: NDArray[np.uint8], starts: NDArray[np.int64], stops: NDArray[np.int64], table: NDArray[np.uint8]
-) -> None:
+def _copy_tokens(text: NDArray[np.uint8], starts: Ints, stops: Ints, table: NDArray[np.uint8]) -> None:
     for row in range(starts.size):
         for j in range(stops[row] - starts[row]):
             table[row, j] = text[starts[row] + j]
@@ -279,8 +266,7 @@ TITLE_BYTES = 80
 
 
 def write_triangles(triangles: NDArray[np.floating], path: Path, name: str = "") -> None:
-    """Write triangles (F, 3, 3), mm, rounded to 32 bits, with their unit normals, 0 where there is no area; equal parts give equal
-    bytes."""
+    """Write triangles (F, 3, 3), mm, in 32 bits, with their unit normals, 0 without area; equal parts give equal bytes."""
     facets = np.zeros(len(triangles), FACET)
     facets["corners"] = triangles
     corners = facets["corners"].astype(np.float64)

@@ -56,11 +56,9 @@ MODIFIERS = {
 }  # fmt: skip
 # Metadata of objects by which Cura says the same
 CURA = {
-    "cura:support_mesh": "support",
-    "cura:anti_overhang_mesh": "support blocker",
-    "cura:infill_mesh": "modifier",
+    "cura:support_mesh": "support", "cura:anti_overhang_mesh": "support blocker", "cura:infill_mesh": "modifier",
     "cura:cutting_mesh": "modifier",
-}
+}  # fmt: skip
 Key = tuple[str, str]  # an object: its model part, in lower case, and its number there
 
 
@@ -263,8 +261,7 @@ class _Package:
                 )
 
     def _check_copies(self, root: str) -> None:
-        """Count the placed meshes: an object stands before those that contain it, and parts other than the root contain no further
-        part."""
+        """Count the placed meshes: an object stands before those that contain it, and only the root has parts in other files."""
         count: dict[Key, int] = {}
         for path in sorted(self.parts, key=lambda path: path == root):
             for number, components in self.parts[path].objects.items():
@@ -329,8 +326,7 @@ LEAST_SECONDS, BYTES_A_SECOND = 20, 2_000_000
 
 
 def read_3mf(data: bytes | memoryview, name: str) -> tuple[NDArray[np.float64], list[str], str, str]:
-    """Corners (F, 3, 3) of the facets that a 3MF file builds, in its unit; what was left out, one line each; the unit, and who
-    states it."""
+    """Corners (F, 3, 3) of the facets that a 3MF file builds, in its unit; notes; the unit, and who states it."""
     outline = outline_of(data, name)
     with scratch_folder() as folder:
         (folder / "part.3mf").write_bytes(data)

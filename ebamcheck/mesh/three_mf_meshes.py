@@ -1,5 +1,4 @@
-"""Meshes of a 3MF file as placed by its build, read by lib3mf in a process of its own: it sets the locale, and may end, hang or
-fill the memory."""
+"""Meshes of a 3MF file as its build places them, by lib3mf in a process of its own: it sets the locale and may crash."""
 
 from __future__ import annotations
 
@@ -52,8 +51,7 @@ class Refused(Exception):
 
 
 def main() -> None:
-    """Read the file that the standard input names, write its corners (F, 3, 3) as ``.npy``, and print what was left out, as
-    JSON."""
+    """Read the file that the standard input names; write its corners (F, 3, 3) as ``.npy``, and the notes as JSON."""
     asked = json.load(sys.stdin)
     resource.setrlimit(resource.RLIMIT_CPU, (asked["seconds"], asked["seconds"] + 5))
     resource.setrlimit(resource.RLIMIT_AS, (MOST_MEMORY_BYTES, MOST_MEMORY_BYTES))

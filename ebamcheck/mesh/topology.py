@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ebamcheck.kernels import Ints, kernel
+from ebamcheck.kernels import Floats, Ints, ShortInts, kernel
 from ebamcheck.threads import run_blocks
 
 Index = NDArray[np.int32]
@@ -84,7 +84,7 @@ def edge_groups(faces: Index, vertex_count: int) -> EdgeGroups:
 
 
 @kernel
-def twins(vertices: NDArray[np.float64], faces: Index, half_edges: Index, starts: Index) -> Index:
+def twins(vertices: Floats, faces: Index, half_edges: Index, starts: Index) -> Index:
     """Half-edge across each half-edge (3 F,), :data:`NO_TWIN` at an open one.
 
     Two facets at an edge are each other's neighbours, whatever way they are turned. More are paired
@@ -103,7 +103,7 @@ def twins(vertices: NDArray[np.float64], faces: Index, half_edges: Index, starts
 
 
 @kernel
-def pair_fan(vertices: NDArray[np.float64], faces: Index, fan: Index, result: Index) -> None:
+def pair_fan(vertices: Floats, faces: Index, fan: Index, result: Index) -> None:
     """Write the twins (3 F,) of the half-edges of one edge, where it has one or more than two; see :func:`twins`."""
     n = fan.size
     for h in fan:
@@ -178,23 +178,21 @@ def pair_fan(vertices: NDArray[np.float64], faces: Index, fan: Index, result: In
 
 
 def split_corners(faces: Index, twin: Index) -> Index:
-    """Number the corners of facets (F, 3) so that two share a number only where neighbours by `twin` of one direction do: bodies
-    come apart."""
+    """Number the corners of facets (F, 3) by body: two share a number only where `twin` makes them neighbours."""
     corners = faces.ravel()
     h = np.flatnonzero(twin > np.arange(twin.size))
     h = h[corners[h] != corners[twin[h]]]
     g = twin[h].astype(np.int64)
     after_h, after_g = (np.where(k % 3 == 2, k - 2, k + 1) for k in (h, g))
-    return _components(corners.size, np.concatenate([h, after_h]), np.concatenate([after_g, g])).reshape(
-        -1, 3
-    )
+    number = components(corners.size, np.concatenate([h, after_h]), np.concatenate([after_g, g]))
+    return number.reshape(-1, 3)
 
 
 def body_labels(faces: Index, groups: EdgeGroups) -> Index:
     """Body of each facet (F,): facets that share an edge are one body; -1 for degenerate facets."""
     facets = groups.half_edges // 3
     first = np.repeat(facets[groups.starts[:-1]], np.diff(groups.starts))
-    label = _components(len(faces), first.astype(np.int64), facets.astype(np.int64))
+    label = components(len(faces), first, facets)
     known = np.zeros(len(faces), np.bool_)
     known[facets] = True
     if known.all():
@@ -206,9 +204,13 @@ def body_labels(faces: Index, groups: EdgeGroups) -> Index:
     return label
 
 
+def components(count: int, a: NDArray[np.integer], b: NDArray[np.integer]) -> Index:
+    """Component (count,) of each item where items `a` and `b` (N,) hang together; numbered by their first items."""
+    return _components(count, *(np.ascontiguousarray(items, np.int64) for items in (a, b)))
+
+
 @kernel
 def _components(count: int, a: Ints, b: Ints) -> Index:
-    """Component (count,) of each item where items `a` and `b` (N,) hang together; numbered by their first items."""
     root = np.arange(count)
     for n in range(a.size):
         i, j = a[n], b[n]
@@ -261,14 +263,11 @@ EMPTY = -1
 
 Corners = NDArray[Any]
 Keys = NDArray[Any]
-Rows = NDArray[np.int32]
+Rows = ShortInts
 
 
-def weld(
-    triangles: NDArray[np.float32] | NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    """Merge corners (F, 3, 3) that are equal in all bits (0 and -0 are equal) to vertices (V, 3), by first appearance, and faces
-    (F, 3)."""
+def weld(triangles: NDArray[np.float32] | Floats) -> tuple[Floats, ShortInts]:
+    """Merge corners (F, 3, 3) of equal bits (0 and -0 are equal): vertices (V, 3) by first appearance, faces (F, 3)."""
     corners = np.ascontiguousarray(triangles).reshape(-1, 3)
     earliest = _earliest(corners)
     is_first = earliest == np.arange(len(earliest))
@@ -282,7 +281,7 @@ def _earliest(corners: Corners) -> Rows:
     keys = corners.view(np.uint32 if corners.dtype == np.float32 else np.uint64)
     shares = min(1 << (count // SHARE).bit_length(), MOST_SHARES)
     share = np.empty(count, np.uint16)
-    sizes: dict[int, NDArray[np.int64]] = {}
+    sizes: dict[int, Ints] = {}
 
     def choose(start: int, stop: int) -> None:
         sizes[start] = _choose(corners, keys, share, shares, start, stop)
@@ -319,7 +318,7 @@ def _hash(x: np.uint64, y: np.uint64, z: np.uint64) -> np.uint64:
 @kernel
 def _choose(
     corners: Corners, keys: Keys, share: NDArray[np.uint16], shares: int, start: int, stop: int
-) -> NDArray[np.int64]:
+) -> Ints:
     """Write the share of each of the rows ``[start, stop)``; returns how many fell to each share."""
     sizes = np.zeros(shares, np.int64)
     last = np.uint64(shares - 1)
@@ -335,13 +334,7 @@ def _choose(
 
 @kernel
 def _deal(
-    corners: Corners,
-    keys: Keys,
-    share: NDArray[np.uint16],
-    places: NDArray[np.int64],
-    dealt: Keys,
-    start: int,
-    stop: int,
+    corners: Corners, keys: Keys, share: NDArray[np.uint16], places: Ints, dealt: Keys, start: int, stop: int
 ) -> None:
     """Copy bits and number of the rows ``[start, stop)`` to the `places` of their shares, which move on."""
     for i in range(start, stop):
@@ -352,7 +345,7 @@ def _deal(
 
 
 @kernel
-def _weld_shares(dealt: Keys, starts: NDArray[np.int64], earliest: Rows) -> None:
+def _weld_shares(dealt: Keys, starts: Ints, earliest: Rows) -> None:
     """Find the first equal row of each row of some shares: an open-addressing hash for each share."""
     most = 0
     for s in range(starts.size - 1):

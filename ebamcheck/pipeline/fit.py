@@ -23,9 +23,9 @@ from ebamcheck.curves import (
 )
 from ebamcheck.curves.accuracy import CURVE_TOLERANCE_MM
 from ebamcheck.curves.columns import Evidence
-from ebamcheck.curves.edges import with_edges
 from ebamcheck.curves.gate import CAUSES, StackEvidence, stack_evidence
 from ebamcheck.curves.gate import METHODS as FALLBACKS
+from ebamcheck.curves.lifting import with_edges
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
 from ebamcheck.pipeline.tables import Table

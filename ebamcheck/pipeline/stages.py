@@ -14,7 +14,7 @@ from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.backend import Progress
 from ebamcheck.curves import LIFTED, Curves, fit
-from ebamcheck.curves.turned import turned_over
+from ebamcheck.curves.columns import turned_over
 from ebamcheck.heat.part_heat import BeadPower
 from ebamcheck.layers.stack import Layers, from_polygons
 from ebamcheck.mesh.part import Part

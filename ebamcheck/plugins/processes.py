@@ -21,8 +21,7 @@ LARGEST_SAID_BYTES = 64_000_000  # what a process may write to its standard outp
 def started(
     arguments: Sequence[str], folder: Path, said: Path, **streams: Any
 ) -> tuple[subprocess.Popen[bytes], str]:
-    """Start a Python module (last argument: our id) in a session of its own, temporary files in `folder`, words in `said`; with its
-    mark."""
+    """Start a Python module (last argument: our id) in a session of its own, with its words in `said`; and its mark."""
     mark = os.urandom(16).hex()
     with said.open("wb") as told:
         process = subprocess.Popen(
@@ -100,8 +99,7 @@ def one_line(text: str, longest: int = 200) -> str:
 
 
 def run_limited(arguments: Sequence[str], folder: Path, time_s: float, memory_mb: float) -> str:
-    """Run a Python module (last argument: our id) in `folder`, end it with its children beyond limits; returns why it was lost, if
-    it was."""
+    """Run a Python module (last argument: our id) in `folder` within limits; returns why it was lost, if it was."""
     said = folder / "said"
     process, mark = started(arguments, folder, said, stdin=subprocess.DEVNULL, cwd=folder)
     try:

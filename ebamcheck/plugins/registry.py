@@ -68,8 +68,7 @@ def load_plugins(group: str) -> dict[str, Any]:
 
 
 def load(point: EntryPoint) -> Any:
-    """Load one plugin in this process, a stranger's once it has come through a process of its own; the error says why it does not
-    load."""
+    """Load one plugin, a stranger's once it has come through a process of its own; the error says why it does not load."""
     if not is_house(point) and (wrong := _trial(point)):
         raise SettingsError(wrong)
     try:
@@ -159,8 +158,7 @@ def _loaded_slicer(name: str) -> Slicer | None:
 
 
 def forget(kept: bool = False) -> None:
-    """Forget what was found, so that slicers installed since are found, too; `kept` asks strangers anew now, whatever is kept on
-    disk."""
+    """Forget all slicers, so that new ones are found; `kept` asks strangers anew now, whatever the disk holds."""
     for known in (_slicer_points, _answer, _slicer_or_why, _loaded_slicer, probe, _trial):
         known.cache_clear()
     if kept:

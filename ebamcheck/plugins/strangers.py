@@ -1,5 +1,4 @@
-"""Plugins of other distributions: what a process of their own found out about each, kept until their code changes, and their
-slicers as seen here."""
+"""Plugins of other distributions: answers of a process of their own, kept until their code changes; their slicers."""
 
 from __future__ import annotations
 
@@ -99,13 +98,8 @@ class Answer(BaseModel):
 
 def ask(point: EntryPoint, kind: str, values: Mapping[str, Any] | None = None) -> tuple[dict[str, Any], str]:
     """Ask a plugin in a process of its own; returns all that it told, by name, and what went wrong: empty if nothing."""
-    question: Question = {
-        "kind": kind,
-        "group": str(point.group),
-        "name": str(point.name),
-        "value": str(point.value),
-        "settings": dict(values or {}),
-    }
+    group, name, value = map(str, (point.group, point.name, point.value))
+    question = Question(kind=kind, group=group, name=name, value=value, settings=dict(values or {}))
     with tempfile.TemporaryDirectory(prefix="ebamcheck-", ignore_cleanup_errors=True) as folder:
         (Path(folder) / QUESTION).write_text(json.dumps(question), encoding="utf-8")
         arguments = ["ebamcheck.plugins.trial", folder]
@@ -262,8 +256,7 @@ class StrangerSettings(BackendSettings):
 
 
 class StrangerSlicer(Attributes):
-    """What a slicer of another distribution has told of itself, a :class:`~ebamcheck.backend.Slicer` in form; its code runs
-    elsewhere."""
+    """A slicer of another distribution as it describes itself, in the form of a slicer; its code runs elsewhere."""
 
     answer: Answer
     point: Any  # its EntryPoint

@@ -10,7 +10,7 @@ from typing import Any
 
 import tomlkit
 from tomlkit.exceptions import TOMLKitError
-from tomlkit.items import Item
+from tomlkit.items import Item, Table
 
 from ebamcheck.atomic_file import regular_file, replacing
 from ebamcheck.errors import SettingsError
@@ -62,6 +62,10 @@ def merged(text: str, path: Path) -> Merged:
         root = root.setdefault(key, tomlkit.table())
     found = Merged(unknown=_unknown(root))
     before = validated(_known(root), str(path))
+    form = f"{path}: keys cannot be added to a file of this form: write its sections as [NAME]"
+    # Of an inline table, and of a section in pieces, tomlkit makes what it can't read back.
+    if any(not isinstance(table, Table) for name, table in root.items() if name in Config.model_fields):
+        raise SettingsError(form)
     for name, section in Config():
         if type(section).model_fields:
             _complete(root, name, section, found)
@@ -70,9 +74,7 @@ def merged(text: str, path: Path) -> Merged:
     for key in within:
         after = after[key]
     if validated(_known(after), str(path)) != before:
-        raise SettingsError(
-            f"{path}: keys cannot be added to a file of this form: write its sections as [NAME]"
-        )
+        raise SettingsError(form)
     return found
 
 

@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ebamcheck.backend import BackendSettings, Prepared, Slicer
 from ebamcheck.errors import BackendFailed, EbamcheckError, SettingsError
+from ebamcheck.kernels import Floats, Ints
 from ebamcheck.layers import files as layer_files
 from ebamcheck.layers.files import KeptBlocks
 from ebamcheck.layers.stack import Layers
@@ -29,15 +29,9 @@ class NotLayers(Exception):
 
 
 def cut(
-    slicer: Slicer,
-    part: Part,
-    settings: BackendSettings,
-    heights: NDArray[np.float64],
-    borders: NDArray[np.int64],
-    file: Path,
-    tell: Callable[..., None],
-    kept: KeptBlocks | None = None,
-) -> bool:
+    slicer: Slicer, part: Part, settings: BackendSettings, heights: Floats, borders: Ints, file: Path,
+    tell: Callable[..., None], kept: KeptBlocks | None = None,
+) -> bool:  # fmt: skip
     """Slice in this process; whether it came to an end, and not to a failure that it told.
 
     Heights (L,) strictly increase; `borders` are those of the blocks in which they are cut. `tell` takes the events of
@@ -67,13 +61,8 @@ def cut(
 
 
 def _blocks(
-    prepared: Prepared,
-    part: Part,
-    heights: NDArray[np.float64],
-    borders: NDArray[np.int64],
-    tell: Callable[..., None],
-    kept: KeptBlocks | None,
-) -> Iterator[Layers]:
+    prepared: Prepared, part: Part, heights: Floats, borders: Ints, tell: Callable[..., None], kept: KeptBlocks | None
+) -> Iterator[Layers]:  # fmt: skip
     """Cut one block of layers after the other and tell what they hold; the time is that of the slicer alone."""
     seconds, rings, open_paths, points = 0.0, 0, 0, 0
     for first, past in itertools.pairwise(borders.tolist()):
@@ -117,14 +106,8 @@ def fits_here(part: Part, block_points: int, limits: Limits) -> bool:
 
 
 def cut_here(
-    part: Part,
-    heights: NDArray[np.float64],
-    name: str,
-    settings: BackendSettings,
-    folder: Path,
-    limits: Limits,
-    borders: NDArray[np.int64],
-) -> Outcome:
+    part: Part, heights: Floats, name: str, settings: BackendSettings, folder: Path, limits: Limits, borders: Ints
+) -> Outcome:  # fmt: skip
     """Slice with one backend into ``NAME.parquet`` in this process; time is looked at whenever layers are done."""
     told: dict[str, Any] = {}
     start = time.perf_counter()
@@ -136,12 +119,11 @@ def cut_here(
             raise _OutOfTime
 
     slicer = registry.available_slicer(name)
-    outcome = Outcome(
-        name,
-        probe=registry.probe(name),
-        error_bound_mm=float(slicer.error_bound_mm(part, settings)),
-        height_bound_mm=float(slicer.height_bound_mm(part, settings)),
+    error_mm, height_mm = (
+        float(slicer.error_bound_mm(part, settings)),
+        float(slicer.height_bound_mm(part, settings)),
     )
+    outcome = Outcome(name, probe=registry.probe(name), error_bound_mm=error_mm, height_bound_mm=height_mm)
     if fault := bounds_fault(asdict(outcome), float(part.size.max())):
         return replace(outcome, failure="crashed", why=fault)
     file = folder / f"{name}.parquet"

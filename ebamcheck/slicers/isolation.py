@@ -17,22 +17,13 @@ from typing import IO, TYPE_CHECKING, Any, Self
 
 import numpy as np
 import psutil
-from numpy.typing import NDArray
 
 from ebamcheck.backend import BackendSettings, Progress
 from ebamcheck.errors import BackendFailed, SettingsError
+from ebamcheck.kernels import Floats, Ints
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
-from ebamcheck.plugins import registry
-from ebamcheck.plugins.processes import (
-    LARGEST_SAID_BYTES,
-    code_in_words,
-    end_with_children,
-    has_ended,
-    last_words,
-    size_of,
-    started,
-)
+from ebamcheck.plugins import processes, registry
 from ebamcheck.scratch import scratch_folder
 from ebamcheck.slicers.outcome import Failure, NoEvent, bounds_fault, event_of, file_fault, probe_of
 from ebamcheck.slicers.outcome import Limits as Limits
@@ -58,13 +49,9 @@ FLOOD_BYTES, FLOOD_BYTES_S = 4_000_000, 100_000
 
 
 def slice_isolated(
-    name: str,
-    part: Part,
-    heights: NDArray[np.float64],
-    settings: BackendSettings,
-    limits: Limits | None = None,
+    name: str, part: Part, heights: Floats, settings: BackendSettings, limits: Limits | None = None,
     progress: Progress | None = None,
-) -> Layers:
+) -> Layers:  # fmt: skip
     """Slice with one backend in a process of its own; raises what its outcome says."""
     told = None if progress is None else (lambda _, done: progress(done))
     with scratch_folder() as folder:
@@ -96,18 +83,11 @@ def declared_bounds(
 
 
 def slice_all(
-    part: Part,
-    heights: NDArray[np.float64],
-    backends: Mapping[str, BackendSettings],
-    target: Path,
-    limits: Limits = DEFAULT_LIMITS,
-    progress: Callable[[str, int], None] | None = None,
-    borders: NDArray[np.int64] | None = None,
-    pool: WorkerPool | None = None,
-    keep_blocks: bool = False,
-    bounds_only: bool = False,
-    meanwhile: Callable[[], object] | None = None,
-) -> dict[str, Outcome]:
+    part: Part, heights: Floats, backends: Mapping[str, BackendSettings], target: Path,
+    limits: Limits = DEFAULT_LIMITS, progress: Callable[[str, int], None] | None = None,
+    borders: Ints | None = None, pool: WorkerPool | None = None, keep_blocks: bool = False,
+    bounds_only: bool = False, meanwhile: Callable[[], object] | None = None,
+) -> dict[str, Outcome]:  # fmt: skip
     """Slice with several backends, each in its own process; returns one outcome for every name, in the order given.
 
     Heights (L,), mm, strictly increase; layers go to `target`, one file ``NAME.parquet`` a backend that comes to an end. `progress`
@@ -142,7 +122,7 @@ def slice_all(
                 _listen(running, progress)
                 for worker in list(running):
                     _enforce(worker, limits)
-                    if has_ended(worker.process):
+                    if processes.has_ended(worker.process):
                         running.remove(worker)
                         outcomes[worker.name] = _collect(worker, part, heights, limits)
         finally:
@@ -157,7 +137,7 @@ def _listen(running: Sequence[Worker], progress: Callable[[str, int], None] | No
             selector.register(worker.events, selectors.EVENT_READ, worker)
         ready = [key.data for key, _ in selector.select(POLL_S)]
     # Each of them is heard, however much one tells.
-    silent = [has_ended(worker.process) or not _take_in(worker, progress) for worker in ready]
+    silent = [processes.has_ended(worker.process) or not _take_in(worker, progress) for worker in ready]
     if ready and all(silent):
         time.sleep(POLL_S)  # A closed pipe is always ready; its worker is about to end.
 
@@ -192,8 +172,8 @@ def _enforce(worker: Worker, limits: Limits) -> None:
         worker.lose("out of memory", OVER_MEMORY.format(resident, limits.memory_mb))
     elif time.monotonic() - worker.started > limits.time_s:
         worker.lose("timed out", f"took over {limits.time_s:g} s (slicing.time_limit_s)")
-    elif size_of(worker.errors) > LARGEST_SAID_BYTES:
-        worker.lose("crashed", f"wrote over {LARGEST_SAID_BYTES // 1_000_000} MB to the terminal")
+    elif processes.size_of(worker.errors) > processes.LARGEST_SAID_BYTES:
+        worker.lose("crashed", f"wrote over {processes.LARGEST_SAID_BYTES // 1_000_000} MB to the terminal")
 
 
 def _resident_mb(worker: Worker) -> float:
@@ -209,25 +189,19 @@ def _resident_mb(worker: Worker) -> float:
     return float(total) / 1e6
 
 
-def _collect(worker: Worker, part: Part, heights: NDArray[np.float64], limits: Limits) -> Outcome:
+def _collect(worker: Worker, part: Part, heights: Floats, limits: Limits) -> Outcome:
     """Turn an ended worker into its outcome; nothing that it has left behind runs on."""
     worker.end()
     while _take_in(worker, None):
         pass
     worker.close()
     told = worker.told
-    bounds: dict[str, Any] = {
-        name: float(told[name])
-        for name in ("error_bound_mm", "height_bound_mm")
-        if abs(told.get(name, math.inf)) < math.inf
-    }
-    outcome = Outcome(
-        worker.name,
-        probe=probe_of(told),
-        peak_mb=max(worker.peak_mb, told.get("peak_mb", 0.0)),
-        **bounds,
-        **{name: told[name] for name in FIGURES if name in told},
-    )
+    figures = {name: told[name] for name in FIGURES if name in told}
+    for name in ("error_bound_mm", "height_bound_mm"):
+        if abs(told.get(name, math.inf)) < math.inf:
+            figures[name] = float(told[name])
+    peak_mb = max(worker.peak_mb, told.get("peak_mb", 0.0))
+    outcome = Outcome(worker.name, probe=probe_of(told), peak_mb=peak_mb, **figures)
     failure, why = _failure(worker, part, heights)
     if not failure and outcome.peak_mb > limits.memory_mb:
         # It came to its end between two looks.
@@ -242,7 +216,7 @@ def _collect(worker: Worker, part: Part, heights: NDArray[np.float64], limits: L
     return replace(outcome, failure=failure, why=why)
 
 
-def _failure(worker: Worker, part: Part, heights: NDArray[np.float64]) -> tuple[Failure, str]:
+def _failure(worker: Worker, part: Part, heights: Floats) -> tuple[Failure, str]:
     """What became of an ended worker, and why; nothing where its layers are good."""
     told, code = worker.told, worker.process.returncode
     if worker.failure:
@@ -250,11 +224,11 @@ def _failure(worker: Worker, part: Part, heights: NDArray[np.float64]) -> tuple[
     if "failure" in told:
         return told["failure"], told["why"]
     if code < 0:
-        ended = code_in_words(code)
+        ended = processes.code_in_words(code)
         kind: Failure = "killed" if ended.split()[-1] in KILLS else "crashed"
-        return kind, f"its process was ended {ended}{last_words(worker.errors)}"
+        return kind, f"its process was ended {ended}{processes.last_words(worker.errors)}"
     if code > 0 or not (told.get("written") or worker.bounds_only):
-        return "crashed", f"its process ended with code {code}{last_words(worker.errors)}"
+        return "crashed", f"its process ended with code {code}{processes.last_words(worker.errors)}"
     fault = bounds_fault(told, float(part.size.max()))
     if not fault and not worker.bounds_only:
         fault = file_fault(worker.file, part, heights, whole=worker.stranger)
@@ -313,7 +287,7 @@ class Worker:
 
     def end(self) -> None:
         """End the process and everything that it started; of one that has ended, what it has left behind."""
-        end_with_children(self.process, self.mark if self.stranger else "")
+        processes.end_with_children(self.process, self.mark if self.stranger else "")
 
     def close(self) -> None:
         """Close the pipes to the process."""
@@ -330,8 +304,7 @@ class Worker:
 
 
 class WorkerPool:
-    """Workers, those of backends in `ahead` started at once, and the folder where they find their work; who got no order is ended
-    with it."""
+    """Workers, those of backends in `ahead` started at once, and their folder; those without an order end with it."""
 
     def __init__(self, ahead: Iterable[str] = ()) -> None:
         self._opened = ExitStack()
@@ -365,13 +338,12 @@ class WorkerPool:
         errors, own = self.folder / f"stderr-{self._count}", self.folder / f"tmp-{self._count}"
         own.mkdir()
         arguments = ["ebamcheck.slicers.worker", name, str(write)]
-        process, mark = started(arguments, own, errors, stdin=subprocess.PIPE, pass_fds=(write,))
+        process, mark = processes.started(arguments, own, errors, stdin=subprocess.PIPE, pass_fds=(write,))
         os.close(write)
         os.set_blocking(read, False)
         return Worker(name, process, os.fdopen(read, "rb", buffering=0), errors, mark=mark)
 
 
 def longest_first(names: Iterable[str]) -> list[str]:
-    """Slicers in the order in which they begin: those that are not exact cast rays and take longest, so that what ends last is
-    short."""
+    """Slicers in the order in which they begin: those that are not exact cast rays and take longest."""
     return sorted(names, key=lambda name: registry.slicer(name).exact)

@@ -1,5 +1,4 @@
-"""What becomes of a backend that slices: its file of layers and figures, or why it has none; events of a worker, and the form of
-layers, checked."""
+"""Outcome of a backend that slices: its file and figures, or its failure; checks of a worker's events and layers."""
 
 from __future__ import annotations
 
@@ -110,9 +109,8 @@ def event_of(line: bytes) -> dict[str, Any]:
         _Event.model_validate(event)
     except ValidationError as error:
         word = str(error.errors()[0]["loc"][0])
-        raise NoEvent(
-            f"told {one_line(word, 40)} = {one_line(repr(event[word]), 60)}, which is no word of a worker"
-        ) from None
+        told = f"told {one_line(word, 40)} = {one_line(repr(event[word]), 60)}"
+        raise NoEvent(f"{told}, which is no word of a worker") from None
     for word in ("why", "unwritable"):
         if word in event:
             event[word] = one_line(event[word], LONGEST_TEXT)
@@ -122,8 +120,7 @@ def event_of(line: bytes) -> dict[str, Any]:
 
 
 def bounds_fault(told: Mapping[str, Any], extent_mm: float) -> str:
-    """What is wrong with declared bounds, in one line; empty if nothing: within a bound like the part's extent all is a section of
-    it."""
+    """Fault of declared bounds, in one line; empty if there is none: a bound like the part's extent promises nothing."""
     for word, what in (("error_bound_mm", "error bound"), ("height_bound_mm", "height bound")):
         value = float(told.get(word, math.nan))
         said = f"it declares {'an' if what[0] == 'e' else 'a'} {what} of {value:g} mm"
@@ -158,8 +155,7 @@ def form_fault(layers: object, part: Part, heights: NDArray[np.float64]) -> str:
 
 
 def file_fault(file: Path, part: Part, heights: NDArray[np.float64], whole: bool) -> str:
-    """What is wrong with a worker's file of layers, in one line; empty if nothing. With `whole` every layer is read: a stranger is
-    not believed."""
+    """Fault of a worker's file of layers, in one line; empty if there is none. Of a stranger the `whole` file is read."""
     try:
         with LayerFile(file) as stack:
             if stack.part != part.sha256:
@@ -178,15 +174,8 @@ def file_fault(file: Path, part: Part, heights: NDArray[np.float64], whole: bool
 
 
 def _column_faults(layers: Layers) -> Iterable[str]:
-    kinds = {
-        "heights": "float64",
-        "points": "float64",
-        "ring_starts": "int64",
-        "layer_starts": "int64",
-        "closed": "bool",
-        "dropped": "int64",
-    }
-    for name, kind in kinds.items():
+    integers = dict.fromkeys(("ring_starts", "layer_starts", "dropped"), "int64")
+    for name, kind in {"heights": "float64", "points": "float64", "closed": "bool", **integers}.items():
         column: Any = getattr(layers, name)
         if not isinstance(column, np.ndarray):
             yield f"{name} is {type(column).__name__}, not an array"
@@ -206,10 +195,8 @@ def _height_faults(layers: Layers, heights: NDArray[np.float64]) -> Iterable[str
 
 
 def _ring_faults(layers: Layers) -> Iterable[str]:
-    for name, starts, past in (
-        ("ring_starts", layers.ring_starts, len(layers.points)),
-        ("layer_starts", layers.layer_starts, layers.closed.size),
-    ):
+    for name, past in (("ring_starts", len(layers.points)), ("layer_starts", layers.closed.size)):
+        starts = getattr(layers, name)
         if not starts.size or starts[0] != 0 or starts[-1] != past or (np.diff(starts) < 0).any():
             yield f"{name} does not rise from 0 to {past}"
             return
@@ -232,10 +219,9 @@ def _value_faults(layers: Layers, part: Part) -> Iterable[str]:
     wrong = np.argwhere(~(np.abs(layers.points) <= largest))  # NaN among them
     if len(wrong):
         row, axis = wrong[0]
-        yield (
-            f"point {row}, {'xy'[axis]} is {layers.points[row, axis]}; the part lies from "
-            f"{part.bounds[0, axis]:g} to {part.bounds[1, axis]:g} mm"
-        )
+        low, high = part.bounds[:, axis]
+        where = f"point {row}, {'xy'[axis]} is {layers.points[row, axis]}"
+        yield f"{where}; the part lies from {low:g} to {high:g} mm"
 
 
 def _edge_faults(layers: Layers, part: Part) -> Iterable[str]:

@@ -101,15 +101,9 @@ def slice_part(
 
 
 def slice_to_file(
-    part: Part,
-    heights: ArrayLike,
-    path: str | Path,
-    backend: str = "",
-    limits: Limits | None = None,
-    block_points: int = SlicingSettings().block_points,
-    pool: WorkerPool | None = None,
-    **settings: Any,
-) -> Outcome:
+    part: Part, heights: ArrayLike, path: str | Path, backend: str = "", limits: Limits | None = None,
+    block_points: int = SlicingSettings().block_points, pool: WorkerPool | None = None, **settings: Any,
+) -> Outcome:  # fmt: skip
     """Cut a part into a file of layers, which appears when it is whole; errors are those of :func:`slice_part`.
 
     A backend of this project's own kernels cuts in this process, unless the part is very large, others in one of theirs. Rising
@@ -185,13 +179,9 @@ class Slicing:
             self._begin(part, part, name, checked, lambda: slicer.prepare(part, checked))
 
     def _begin(
-        self,
-        part: Part,
-        unturned: Part,
-        backend: str,
-        settings: BackendSettings,
+        self, part: Part, unturned: Part, backend: str, settings: BackendSettings,
         prepare: Callable[[], Prepared],
-    ) -> None:
+    ) -> None:  # fmt: skip
         self.part, self.backend, self.settings, self._unturned = part, backend, settings, unturned
         self._thread, self._open = ThreadPoolExecutor(1, thread_name_prefix=f"ebamcheck-{backend}"), True
         try:

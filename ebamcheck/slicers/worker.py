@@ -1,5 +1,4 @@
-"""A worker, ``python -m ebamcheck.slicers.worker LABEL PIPE PARENT``: one process that slices with one backend and tells how it
-goes. Its order is a line of JSON on standard input; what it tells goes into the pipe, a line of JSON an event."""
+"""A worker process, ``python -m ebamcheck.slicers.worker LABEL PIPE PARENT``: JSON order on stdin, JSON events in the pipe."""
 
 from __future__ import annotations
 

@@ -10,30 +10,24 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
-from ebamcheck.kernels import Bools, Floats, Ints
+from ebamcheck.geometry.raster import each_of
+from ebamcheck.kernels import Bools, Floats, kernel
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.topology import NO_TWIN, Index, split_corners
-from ebamcheck.surface.exact_forms import FLAT, KIND, OWN, PLACE, SIDE, SIZE, Ground, grown, signed_distances
-from ebamcheck.surface.form_fits import told_forms
+from ebamcheck.surface.exact_forms import (
+    FLAT,
+    SIDE,
+    SIZE,
+    form_row,
+    signed_distance,
+    signed_distances,
+    told_forms,
+)
+from ebamcheck.surface.planes import connected
 from ebamcheck.surface.regions import PLANE, STRIP, Regions
 
-FIT = 3.0
-"""Tolerance of a fitted surface, over that of a plane: errors of the fitted position and size add to those of the vertices."""
-
 NO_SURFACE = -1
-
-GAP = 4.0  # A group this many times farther from the surface than the next nearer one is a flat side that only ends on the surface
-
-MOST_OF_TYPICAL = 25.0
-"""Largest distance of a facet from an exact surface, over the mesh's median sagitta: long facets of scattered points are so far."""
-
-MOST_PIECES = 1000
-"""Pieces that may fail before the search stops, the largest first: a noisy mesh has very many."""
-
-MOST_ROUNDS = 6  # Rounds of growing and fitting for one surface; it usually stops growing after two or three
 
 
 class ExactSurfaces(NamedTuple):
@@ -43,33 +37,27 @@ class ExactSurfaces(NamedTuple):
     rows: Floats  # (S, SIZE) surfaces, in the layout of exact_forms
 
 
-def exact_surfaces(
-    part: Part, twin: Index, across: Index, regions: Regions, typical_mm: float
-) -> ExactSurfaces:
+def exact_surfaces(part: Part, twin: Index, across: Index, regions: Regions, typical: float) -> ExactSurfaces:
     """Find the exact surfaces of a mesh, and the planes beside them.
 
-    `twin` (3 F,) is the half-edge across each, -1 at creases; `across` the same at creases, too; `typical_mm` the median sagitta of
-    the mesh, from its dihedral angles.
+    `twin` (3 F,) is the half-edge across each, -1 at creases; `across` the same at creases, too; `typical` the median sagitta of
+    the mesh, from its dihedral angles, mm.
     """
-    return _Search(part, twin, across, regions, typical_mm).run()
+    # Long facets of scattered points are as far as 25 sagittas from their surface.
+    return _Search(part, twin, across, regions, 25.0 * typical).run()
 
 
 class _Search:
     """State of the search for exact surfaces: what is found, and the planar groups that it has taken."""
 
-    def __init__(self, part: Part, twin: Index, across: Index, regions: Regions, typical_mm: float) -> None:
-        self.across = across
-        self.largest_mm = MOST_OF_TYPICAL * typical_mm
-        groups = regions.groups
-        vertices, faces = part.vertices, part.faces
-        sectors = split_corners(faces, twin)
-        told = told_corners(vertices, faces, groups.label, sectors, regions.tolerance_mm)
-        self.ground = Ground(
-            vertices, faces, twin, groups.label, groups.starts, groups.facets, groups.normals, told
-        )
-        self.kind = regions.kind
-        self.areas = groups.areas
-        self.tolerance_mm = FIT * regions.tolerance_mm
+    def __init__(self, part: Part, twin: Index, across: Index, regions: Regions, largest_mm: float) -> None:
+        groups, vertices, faces = regions.groups, part.vertices, part.faces
+        told = told_corners(vertices, faces, groups.label, split_corners(faces, twin), regions.tolerance_mm)
+        of_groups = groups.label, groups.starts, groups.facets, groups.normals
+        self.ground = _Ground(vertices, faces, twin, *of_groups, told)
+        self.across, self.kind, self.areas = across, regions.kind, groups.areas
+        # Errors of a fitted position and size add to those of the vertices.
+        self.tolerance_mm, self.largest_mm = 3.0 * regions.tolerance_mm, largest_mm
         self.middles: Floats = vertices[faces].mean(axis=1)
         self.taken: Bools = np.zeros(len(groups.normals), np.bool_)
         self.of_group = np.full(len(groups.normals), NO_SURFACE, np.int32)
@@ -81,7 +69,7 @@ class _Search:
         failed = 0
         for piece in self._pieces():
             failed += not self._try(piece)
-            if failed >= MOST_PIECES:
+            if failed >= 1000:  # a noisy mesh has very many
                 break
         label = self.of_group[self.ground.label]
         rows = np.array(self.rows).reshape(-1, SIZE)
@@ -98,12 +86,11 @@ class _Search:
         found = [rows]
         for number, group in enumerate(np.unique(ground.label[beside]).tolist(), len(rows)):
             facets = ground.facets[ground.starts[group] : ground.starts[group + 1]]
-            row = np.zeros((1, SIZE))
-            row[0, KIND], row[0, SIDE] = FLAT, 1.0
-            row[0, PLACE : PLACE + 3] = ground.vertices[np.unique(ground.faces[facets])].mean(axis=0)
-            row[0, OWN : OWN + 3] = ground.normals[group]
+            middle = ground.vertices[np.unique(ground.faces[facets])].mean(axis=0)
+            row = form_row(FLAT, middle, ground.normals[group])
+            row[SIDE] = 1.0
             label[facets] = number
-            found.append(row)
+            found.append(row[None])
         return ExactSurfaces(label, np.concatenate(found))
 
     def _pieces(self) -> Iterator[Index]:
@@ -112,9 +99,7 @@ class _Search:
         half = np.flatnonzero(ground.twin != NO_TWIN)
         a, b = ground.label[half // 3], ground.label[ground.twin[half] // 3]
         joined = (self.kind[a] == self.kind[b]) & (self.kind[a] != PLANE) & (a != b)
-        count = len(self.kind)
-        links = coo_matrix((np.ones(joined.sum()), (a[joined], b[joined])), (count, count))
-        piece = connected_components(links, directed=False)[1]
+        piece = connected(a[joined], b[joined], len(self.kind))
         area = np.bincount(piece, self.areas)
         order = np.argsort(piece, kind="stable").astype(np.int32)
         pieces = np.split(order, np.cumsum(np.bincount(piece))[:-1])
@@ -142,7 +127,8 @@ class _Search:
     def _forms(self, groups: Index) -> Iterator[Floats]:
         """Forms fitted to the told vertices of groups (:mod:`ebamcheck.surface.exact_surfaces`), with their sides set."""
         ground = self.ground
-        facets = _facets_of(ground, groups)
+        group, place = each_of(ground.starts[groups + 1] - ground.starts[groups])
+        facets = ground.facets[ground.starts[groups][group] + place].astype(np.int64)
         corners = np.unique(ground.faces[facets][ground.told[facets]])
         normals = ground.normals[ground.label[facets]]
         places = self.middles[facets]
@@ -161,14 +147,14 @@ class _Search:
         """
         sagittas = np.empty(len(self.taken))
         before = 0
-        for _ in range(MOST_ROUNDS):
-            count = grown(self.ground, groups, self.taken, row, self.tolerance_mm, self.largest_mm, sagittas)
-            if count < 2:
+        for _ in range(6):  # it usually stops growing after two or three
+            tolerance_mm, largest_mm = self.tolerance_mm, self.largest_mm
+            if _grown_from(self.ground, groups, self.taken, row, tolerance_mm, largest_mm, sagittas) < 2:
                 return None
             largest = _without_flat_sides(sagittas[sagittas >= 0.0])
             if np.isfinite(largest):
                 seeds = groups[sagittas[groups] >= 0.0]
-                grown(self.ground, seeds, self.taken, row, self.tolerance_mm, largest, sagittas)
+                _grown_from(self.ground, seeds, self.taken, row, self.tolerance_mm, largest, sagittas)
             groups = np.flatnonzero(sagittas >= 0.0).astype(np.int32)
             if len(groups) <= before:
                 return row, groups, float(sagittas.max())
@@ -189,9 +175,8 @@ class _Search:
             return 0
         facet, surface = half // 3, label[self.across[half] // 3]
         corners = ground.vertices[ground.faces[facet]]
-        places = np.concatenate(
-            [corners, 0.5 * (corners + np.roll(corners, -1, axis=1)), corners.mean(axis=1)[:, None]], axis=1
-        )
+        middles = 0.5 * (corners + np.roll(corners, -1, axis=1))
+        places = np.concatenate([corners, middles, self.middles[facet][:, None]], axis=1)
         off = signed_distances(np.repeat(rows[surface], 7, axis=0), places.reshape(-1, 3))[:, 0]
         largest = np.array(self.sagittas)[surface][:, None]
         most = np.where(ground.told[facet], self.tolerance_mm, largest)
@@ -203,17 +188,97 @@ class _Search:
 
 
 def _without_flat_sides(sagittas: Floats) -> float:
-    """Largest distance of a group from the surface, mm: that below the first leap by :data:`GAP` in the upper half, if any."""
+    """Largest distance of a group from the surface, mm: that below the first fourfold leap in the upper half, if any.
+
+    Groups beyond it are flat sides that only end on the surface.
+    """
     upper = np.sort(sagittas)[len(sagittas) // 2 :]
-    leaps = np.flatnonzero(upper[1:] > GAP * np.maximum(upper[:-1], 1e-9))
+    leaps = np.flatnonzero(upper[1:] > 4.0 * np.maximum(upper[:-1], 1e-9))
     return float(1.01 * upper[leaps[0]]) if leaps.size else np.inf
 
 
-def _facets_of(ground: Ground, groups: Index) -> Ints:
-    """Facets of some groups."""
-    sizes = ground.starts[groups + 1] - ground.starts[groups]
-    first = np.repeat(ground.starts[groups] - np.concatenate([[0], np.cumsum(sizes)[:-1]]), sizes)
-    return np.asarray(ground.facets[first + np.arange(first.size)], np.int64)
+# -- growing: from some planar groups of facets on a surface to all connected groups that lie on it ---------------
+
+
+class _Ground(NamedTuple):
+    """A mesh and its planar groups, in the form that growth reads."""
+
+    vertices: Floats
+    faces: Index
+    twin: Index  # (3 F,) opposite half-edge where the surface continues smoothly; else -1
+    label: Index  # (F,) group of each facet
+    starts: Index  # (G + 1,) first facet of each group in facets
+    facets: Index
+    normals: Floats  # (G, 3) unit normals
+    told: Bools  # (F, 3) corners that lie on the surface for certain (exact_surfaces)
+
+
+@kernel
+def _grown_from(
+    ground: _Ground,
+    seeds: Index,
+    taken: Bools,
+    row: Floats,
+    tolerance: float,
+    largest: float,
+    sagittas: Floats,
+) -> int:
+    """Count the groups on the surface `row` that are reached from seed groups over groups on it.
+
+    Groups that are `taken` (G,) belong to other surfaces. Told corners may lie off the surface by `tolerance`, and facets stand
+    off it by `largest`, mm; `sagittas` (G,) takes how far each group that is found stands off, -1 for others.
+    """
+    sagittas[:] = -1.0
+    stack = np.empty(len(taken), np.int32)
+    seen = taken.copy()
+    depth = count = 0
+    for group in seeds:
+        if not seen[group]:
+            seen[group] = True
+            stack[depth] = group
+            depth += 1
+    place = np.empty(3)
+    while depth > 0:
+        depth -= 1
+        group = stack[depth]
+        told = 0
+        off = 0.0
+        first, last = ground.starts[group], ground.starts[group + 1]
+        for at in range(first, last):
+            f = ground.facets[at]
+            # Of each facet the corners, the middles of its edges, and its own.
+            for k in range(7):
+                a, b = ground.faces[f, k % 3], ground.faces[f, (k + 1) % 3]
+                for axis in range(3):
+                    p, q = ground.vertices[a, axis], ground.vertices[b, axis]
+                    place[axis] = p if k < 3 else 0.5 * (p + q)
+                    if k == 6:
+                        place[axis] = (p + q + ground.vertices[ground.faces[f, 2], axis]) / 3.0
+                found = signed_distance(row, place[0], place[1], place[2])
+                away = abs(found[0])
+                if k < 3 and ground.told[f, k]:
+                    told += 1
+                    away = away if away <= tolerance else np.inf
+                elif k == 6:
+                    n = ground.normals[group]
+                    facing = (found[1] * n[0] + found[2] * n[1] + found[3] * n[2]) * row[SIDE]
+                    away = away if facing >= 0.7 else np.inf  # some 45 degrees, about the crease angle
+                off = max(off, away)
+            if not off <= largest:
+                break
+        # Three corners of a group must be told, of a single facet two.
+        if not off <= largest or off == np.inf or told < (3 if last - first > 1 else 2):
+            continue
+        sagittas[group] = off
+        count += 1
+        for at in range(first, last):
+            for k in range(3):
+                h = ground.twin[3 * ground.facets[at] + k]
+                if h != NO_TWIN and not seen[ground.label[h // 3]]:
+                    seen[ground.label[h // 3]] = True
+                    stack[depth] = ground.label[h // 3]
+                    depth += 1
+    return count
 
 
 # -- Told corners: vertices that lie on the surface that a mesh approximates, as far as its facets can tell ----
@@ -222,9 +287,6 @@ def _facets_of(ground: Ground, groups: Index) -> Ints:
 # one group, or at the outer border of only one, lies in that group's plane, and may be as far from the
 # surface as the facet is: Boolean operations on meshes leave such vertices. So may a vertex on the line
 # between two of its neighbours, which merely splits an edge.
-
-
-STRAIGHT_COSINE = 0.99  # Two edges at a vertex may be one line if the cosine of the angle between them is less than minus this
 
 
 def told_corners(vertices: Floats, faces: Index, label: Index, sectors: Index, tolerance_mm: float) -> Bools:
@@ -248,18 +310,16 @@ def _split_edges(vertices: Floats, faces: Index, tolerance: float) -> Bools:
     order = np.argsort(corners, kind="stable")
     sizes = np.bincount(corners, minlength=len(vertices))
     split = np.zeros(len(vertices), np.bool_)
-    at = np.concatenate([[0], np.cumsum(sizes)])
-    place = np.arange(order.size) - np.repeat(at[:-1], sizes)
+    place = each_of(sizes)[1]
     # Each neighbour with the one `step` places before it, for all vertices at once.
     for step in range(1, int(sizes.max(initial=0))):
-        k = np.flatnonzero(place >= step)
-        i = corners[order[k]]
-        k = k[~split[i]]
+        k = np.flatnonzero((place >= step) & ~split[corners[order]])
         i = corners[order[k]]
         u = vertices[ahead[order[k]]] - vertices[i]
         v = vertices[ahead[order[k - step]]] - vertices[i]
         to, away, along = (np.einsum("ij,ij->i", a, b) for a, b in ((u, u), (v, v), (u, v)))
-        straight = (along < 0.0) & (along * along >= STRAIGHT_COSINE * STRAIGHT_COSINE * to * away)
+        # Two edges may be one line if the cosine of the angle between them is less than -0.99.
+        straight = (along < 0.0) & (along * along >= 0.99 * 0.99 * to * away)
         across = np.cross(u, v)
         off = np.einsum("ij,ij->i", across, across)
         split[i[straight & (off <= tolerance * tolerance * (to + away - 2.0 * along))]] = True

@@ -16,43 +16,32 @@ from ebamcheck.kernels import Bools, Floats, kernel
 from ebamcheck.mesh.topology import Index
 from ebamcheck.threads import run_blocks
 
-CUBIC, QUADRIC = 9, 5
-"""Coefficients of jets through the vertex: slopes, curvatures, and for the cubic the changes of these."""
-
+CUBIC, QUADRIC = (
+    9,
+    5,
+)  # Coefficients of jets through the vertex: slopes, curvatures, of cubics changes of these
 TERMS = 10  # Coefficients of a cubic over the plane that need not go through the vertex: its height there, and those of a jet
 MOST_NEIGHBOURS = 48  # Most neighbours used of a vertex; two rings of a regular mesh hold 18
-SPARE = 3
-"""Neighbours beyond the number of coefficients: with fewer, a jet is little more than an interpolation."""
-
+SPARE = 3  # Neighbours beyond the number of coefficients: with fewer, a jet is merely an interpolation
 LEAST_PIVOT = 1e-5  # Least pivot of the normal equations, scaled to a unit diagonal, for neighbours that determine a jet
-
-NEAREST = 0.3
-"""Distance, in extents of the first ring, within which the weight of a neighbour no longer grows: the rounding of its
-coordinates tilts the jet the more the nearer it is."""
-
-OFF_CENTRE = 0.5
-"""Largest distance of the first ring's mean from the vertex, in extents of the ring; beyond it the vertex is at a border."""
-
-AGREE = 0.35
-"""Largest angle between the normals of the two jets, over the spread of the facets' normals. If they differ by more, the surface
-is poorly determined, and the jet of the first ring is used."""
-
-LONGEST_RING = 3.0
-"""Ratio of the first ring's extents from which the second ring is not used: the cubic's error across tilts it along, which
-would lift long edges."""
-
-FLATTEST_RING = 1e-6  # Ratio of the first ring's extents below which its vertices lie on a line
-
-SECTORS_A_BLOCK = 512
 
 
 class Corners(NamedTuple):
-    """The corners of facets by sector, and the facets that jets may use."""
+    """The corners of a mesh by sector, a set of corners about one vertex, and the facets that jets may use."""
 
+    vertices: Floats
+    faces: Index
     sectors: Index  # (F, 3) sector of each corner
+    seen: Bools  # (F,) facets that jets may use: those outside of planes
     starts: Index  # (S + 1,) first entry of each sector in corners
     corners: Index  # Corners 3 f + i by sector
-    seen: Bools  # (F,) facets that jets may use: those outside of planes
+
+
+def corners_by(vertices: Floats, faces: Index, sectors: Index, seen: Bools | None = None) -> Corners:
+    """Sort the corners of facets by their sectors; jets may use all facets by default."""
+    flat, seen = sectors.reshape(-1), np.ones(len(faces), np.bool_) if seen is None else seen
+    starts = np.concatenate([[0], np.cumsum(np.bincount(flat))]).astype(np.int32)
+    return Corners(vertices, faces, sectors, seen, starts, np.argsort(flat, kind="stable").astype(np.int32))
 
 
 class Jets(NamedTuple):
@@ -62,43 +51,33 @@ class Jets(NamedTuple):
     noise: Floats  # (S,) root mean square of what the jet leaves of its neighbours, per degree of freedom, mm; NaN without a jet
 
 
-def jets(vertices: Floats, faces: Index, corners: Corners, means: Floats, least_cosines: Floats) -> Jets:
+def jets(mesh: Corners, means: Floats, least_cosines: Floats) -> Jets:
     """Fit jets to all sectors; the mean normal is kept where no jet is determined, or where it leaves the facets' normals."""
     found = Jets(means.copy(), np.full(len(means), np.nan))
 
     def work(first: int, last: int) -> None:
-        _jets(vertices, faces, corners, means, least_cosines, first, last, found)
+        _jets(mesh, means, least_cosines, first, last, found)
 
-    run_blocks(work, len(means), SECTORS_A_BLOCK)
+    run_blocks(work, len(means), 512)
     return found
 
 
 @kernel
-def _jets(
-    vertices: Floats,
-    faces: Index,
-    corners: Corners,
-    means: Floats,
-    least_cosines: Floats,
-    first: int,
-    last: int,
-    found: Jets,
-) -> None:
+def _jets(mesh: Corners, means: Floats, least_cosines: Floats, first: int, last: int, found: Jets) -> None:
     around, of_fan = np.empty(MOST_NEIGHBOURS, np.int32), np.empty(MOST_NEIGHBOURS, np.int32)
     rows, weights = np.empty((MOST_NEIGHBOURS, TERMS + 1)), np.empty((2, MOST_NEIGHBOURS))
     A, frame, scales, normal = np.empty((TERMS, TERMS + 2)), np.empty((3, 3)), np.empty(2), np.empty(3)
     for s in range(first, last):
-        if least_cosines[s] >= 1.0 - 1e-15 or corners.starts[s + 1] == corners.starts[s]:
+        if least_cosines[s] >= 1.0 - 1e-15 or mesh.starts[s + 1] == mesh.starts[s]:
             continue
-        near, count = _neighbours(faces, corners, s, around, of_fan)
+        near, count = _neighbours(mesh, s, around, of_fan)
         frame[0] = means[s]
-        corner = corners.corners[corners.starts[s]]
-        own = faces[corner // 3, corner % 3]
-        if near < 3 or not _set_rows(vertices, own, around, near, count, frame, scales, rows):
+        if near < 3 or not _set_rows(mesh, s, around, near, count, frame, scales, rows):
             continue
         x = y = 0.0
         for i in range(count):
-            square = rows[i, 1] * rows[i, 1] + rows[i, 2] * rows[i, 2] + NEAREST * NEAREST
+            # Within 0.3 extents of the ring a weight grows no further: rounding tilts the jet the more the nearer a neighbour is.
+            square = rows[i, 1] * rows[i, 1] + rows[i, 2] * rows[i, 2] + 0.3 * 0.3
             # In the first ring alone each neighbour counts by its slope, whatever its distance.
             weights[0, i] = 1.0 / max((rows[i, 1] * scales[0]) ** 2 + (rows[i, 2] * scales[1]) ** 2, 1e-300)
             # Else by one over its squared distance twice: the second ring helps and the first decides.
@@ -106,11 +85,12 @@ def _jets(
             if i < near:
                 x += rows[i, 1] / near
                 y += rows[i, 2] / near
-        # A cubic is not drawn on beyond what it knows: the first ring has to lie about the vertex, and not to one side.
-        centred = x * x + y * y < OFF_CENTRE * OFF_CENTRE
+        # A cubic is not drawn on beyond what it knows: the first ring has to lie about the vertex, and not to one side, as at a border.
+        centred = x * x + y * y < 0.5 * 0.5
         told = False
         for ring in range(2):
-            if ring == 1 and told and max(scales[0], scales[1]) > LONGEST_RING * min(scales[0], scales[1]):
+            # The error of a cubic across a long ring tilts it along the ring, which would lift long edges.
+            if ring == 1 and told and max(scales[0], scales[1]) > 3.0 * min(scales[0], scales[1]):
                 break
             used = count if ring == 1 else near
             size = CUBIC if ring == 1 and centred else QUADRIC
@@ -124,8 +104,9 @@ def _jets(
                 normal[i] = (frame[0, i] - a * frame[1, i] - b * frame[2, i]) / length
             if ring == 1 or near > QUADRIC:
                 found.noise[s] = _residual(rows, used, size, weights[1], A)
+            # Where both jets differ by more the surface is poorly determined, and the first ring decides.
             spread = np.arccos(min(max(least_cosines[s], -1.0), 1.0))
-            if not told or np.sum(normal * found.normals[s]) >= np.cos(AGREE * spread):
+            if not told or np.sum(normal * found.normals[s]) >= np.cos(0.35 * spread):
                 found.normals[s] = normal
             told = True
 
@@ -144,54 +125,49 @@ def _residual(rows: Floats, count: int, size: int, weights: Floats, A: Floats) -
 
 
 @kernel
-def _neighbours(faces: Index, corners: Corners, s: int, around: Index, of_fan: Index) -> tuple[int, int]:
+def _neighbours(mesh: Corners, s: int, around: Index, of_fan: Index) -> tuple[int, int]:
     """Vertices of the first ring, then of the second, and their fans; returns how many are in the first and in both."""
     count = near = 0
-    first = corners.starts[s]
-    own = faces[corners.corners[first] // 3, corners.corners[first] % 3]
+    first = mesh.starts[s]
+    own = mesh.faces[mesh.corners[first] // 3, mesh.corners[first] % 3]
     for ring in range(2):
         near = count
         # The first ring is about the vertex itself, the second about each vertex of the first.
-        for place in range(first, corners.starts[s + 1] if ring else first + 1):
-            c = corners.corners[place]
-            if ring and not corners.seen[c // 3]:
+        for place in range(first, mesh.starts[s + 1] if ring else first + 1):
+            c = mesh.corners[place]
+            if ring and not mesh.seen[c // 3]:
                 continue
             for step in range(1, 3 if ring else 2):
-                hub = np.int64(corners.sectors[c // 3, (c % 3 + step) % 3]) if ring else s
-                for at in range(corners.starts[hub], corners.starts[hub + 1]):
-                    f, k = corners.corners[at] // 3, corners.corners[at] % 3
-                    if ring and not corners.seen[f]:
+                hub = np.int64(mesh.sectors[c // 3, (c % 3 + step) % 3]) if ring else s
+                for at in range(mesh.starts[hub], mesh.starts[hub + 1]):
+                    f, k = mesh.corners[at] // 3, mesh.corners[at] % 3
+                    if ring and not mesh.seen[f]:
                         continue
                     for side in range(1, 3):
-                        vertex = faces[f, (k + side) % 3]
+                        vertex = mesh.faces[f, (k + side) % 3]
                         known = vertex == own or count == MOST_NEIGHBOURS
                         for i in range(count):
                             if known or around[i] == vertex:
                                 known = True
                                 break
                         if not known:
-                            around[count], of_fan[count] = vertex, corners.sectors[f, (k + side) % 3]
+                            around[count], of_fan[count] = vertex, mesh.sectors[f, (k + side) % 3]
                             count += 1
     return near, count
 
 
 @kernel
 def _set_rows(
-    vertices: Floats,
-    own: int,
-    around: Index,
-    near: int,
-    count: int,
-    frame: Floats,
-    scales: Floats,
-    rows: Floats,
+    mesh: Corners, s: int, around: Index, near: int, count: int, frame: Floats, scales: Floats, rows: Floats
 ) -> bool:
-    """The terms of a cubic and the height at each neighbour of a vertex, whose normal is the first row of the frame.
+    """The terms of a cubic and the height at each neighbour of a sector, whose normal is the first row of the frame.
 
     The frame is turned to the axes of the first ring, and its extents along them divide what lies across the normal; false where
     that ring lies on a line.
     """
     n, u, w = frame[0], frame[1], frame[2]
+    corner = mesh.corners[mesh.starts[s]]
+    own = mesh.faces[corner // 3, corner % 3]
     k = 0
     for i in range(3):
         if abs(n[i]) < abs(n[k]):
@@ -206,7 +182,7 @@ def _set_rows(
     for i in range(count):
         x = y = z = 0.0
         for axis in range(3):
-            step = vertices[around[i], axis] - vertices[own, axis]
+            step = mesh.vertices[around[i], axis] - mesh.vertices[own, axis]
             x += step * u[axis]
             y += step * w[axis]
             z += step * n[axis]
@@ -219,7 +195,7 @@ def _set_rows(
     c, t = np.cos(angle), np.sin(angle)
     scales[0] = np.sqrt(max(c * c * xx + 2.0 * c * t * xy + t * t * yy, 0.0))
     scales[1] = np.sqrt(max(t * t * xx - 2.0 * c * t * xy + c * c * yy, 0.0))
-    if not scales[1] > FLATTEST_RING * scales[0]:
+    if not scales[1] > 1e-6 * scales[0]:
         return False
     for i in range(3):
         u[i], w[i] = c * u[i] + t * w[i], c * w[i] - t * u[i]
@@ -271,21 +247,16 @@ def _solved(rows: Floats, count: int, size: int, weights: Floats, least_pivot: f
 
 # -- Predicted places: where the neighbours of a vertex put it, by a cubic fitted to them without it. -----------
 
-LEAST_TERM_PIVOT = 1e-6
-"""Least pivot of the normal equations, scaled to a unit diagonal, for neighbours that determine such a cubic."""
-
-SOFTENING = 0.3
-"""Squared distance, in units of the first ring, within which neighbours have about the same weight."""
+LEAST_TERM_PIVOT = 1e-6  # Least pivot, as above, for neighbours that determine such a cubic
 
 
 @kernel
-def predicted(
-    vertices: Floats, faces: Index, corners: Corners, asked: Bools, first: int, last: int, found: Floats
-) -> None:
+def predicted(mesh: Corners, areas: Floats, asked: Bools, first: int, last: int, found: Floats) -> None:
     """Ask the neighbours of some fans from `first` on, and write what is found of each (S, 2); NaN stays where nothing is told.
 
     First by how much more a vertex would stand beyond the surface than its neighbours do, by the weights that the cubic
     gives them, if each stood there by the mean sagitta of its own edges; then by how much it does. Both in mean sagittas.
+    `areas` (F, 3) are the normals of facets times their areas, in any unit.
     """
     around, of_fan = np.empty(MOST_NEIGHBOURS, np.int32), np.empty(MOST_NEIGHBOURS, np.int32)
     rows, weights = np.empty((MOST_NEIGHBOURS, TERMS + 1)), np.empty(MOST_NEIGHBOURS)
@@ -293,36 +264,27 @@ def predicted(
     for s in range(first, last):
         if not asked[s]:
             continue
-        near, count = _neighbours(faces, corners, s, around, of_fan)
+        near, count = _neighbours(mesh, s, around, of_fan)
         if count < TERMS + SPARE:
             continue
-        n = frame[0]
-        n[:] = 0.0
-        for place in range(corners.starts[s], corners.starts[s + 1]):
-            f = corners.corners[place] // 3
-            for i in range(3):
-                j, k = (i + 1) % 3, (i + 2) % 3
-                n[i] += (vertices[faces[f, 1], j] - vertices[faces[f, 0], j]) * (
-                    vertices[faces[f, 2], k] - vertices[faces[f, 0], k]
-                ) - (vertices[faces[f, 1], k] - vertices[faces[f, 0], k]) * (
-                    vertices[faces[f, 2], j] - vertices[faces[f, 0], j]
-                )
-        length = np.sqrt(np.sum(n * n))
+        frame[0] = 0.0
+        for place in range(mesh.starts[s], mesh.starts[s + 1]):
+            frame[0] += areas[mesh.corners[place] // 3]
+        length = np.sqrt(np.sum(frame[0] * frame[0]))
         if length == 0.0:
             continue
-        n /= length
-        corner = corners.corners[corners.starts[s]]
-        own = faces[corner // 3, corner % 3]
-        if not _set_rows(vertices, own, around, near, count, frame, scales, rows):
+        frame[0] /= length
+        if not _set_rows(mesh, s, around, near, count, frame, scales, rows):
             continue
         for k in range(count):
-            weights[k] = 1.0 / (rows[k, 1] ** 2 + rows[k, 2] ** 2 + SOFTENING) ** 2
+            # About the same within half an extent.
+            weights[k] = 1.0 / (rows[k, 1] ** 2 + rows[k, 2] ** 2 + 0.3) ** 2
         if not _solved(rows, count, min(count, TERMS), weights, LEAST_TERM_PIVOT, A):
             continue
         mine = expected = sizes = 0.0
         for i in range(count + 1):  # the neighbours, and last the vertex itself
             fan = np.int64(of_fan[i]) if i < count else s
-            rise, size = _sagitta(vertices, faces, corners, fan, frame, scales, A)
+            rise, size = _sagitta(mesh, fan, frame, scales, A)
             sizes += size
             if i == count:
                 mine = rise
@@ -339,26 +301,21 @@ def predicted(
 
 @kernel
 def _sagitta(
-    vertices: Floats,
-    faces: Index,
-    corners: Corners,
-    s: int | np.int64,
-    frame: Floats,
-    scales: Floats,
-    A: Floats,
+    mesh: Corners, s: int | np.int64, frame: Floats, scales: Floats, A: Floats
 ) -> tuple[float, float]:
     """Mean sagitta of the edges of a fan under the curvatures of a cubic, mm: signed, positive where convex; and its magnitude."""
     total = size = 0.0
-    for place in range(corners.starts[s], corners.starts[s + 1]):
-        f, k = corners.corners[place] // 3, corners.corners[place] % 3
+    for place in range(mesh.starts[s], mesh.starts[s + 1]):
+        f, k = mesh.corners[place] // 3, mesh.corners[place] % 3
         for step in range(1, 3):
+            p, q = mesh.faces[f, k], mesh.faces[f, (k + step) % 3]
             x = y = 0.0
             for i in range(3):
-                along = vertices[faces[f, (k + step) % 3], i] - vertices[faces[f, k], i]
+                along = mesh.vertices[q, i] - mesh.vertices[p, i]
                 x += along * frame[1, i] / scales[0]
                 y += along * frame[2, i] / scales[1]
             rise = -(0.5 * A[3, TERMS] * x * x + A[4, TERMS] * x * y + 0.5 * A[5, TERMS] * y * y) / 4.0
             total += rise
             size += abs(rise)
-    count = 2 * (corners.starts[s + 1] - corners.starts[s])
+    count = 2 * (mesh.starts[s + 1] - mesh.starts[s])
     return total / count, size / count

@@ -12,15 +12,8 @@ import numpy as np
 from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.topology import NO_TWIN, Index, split_corners
-from ebamcheck.surface.borders import LIKE, Borders
-from ebamcheck.surface.jets import Corners, jets
-from ebamcheck.surface.regions import FREEFORM, PLANE, STRIP, Regions
-
-ALONG_COSINE = 0.9
-"""Least cosine between a sharp border of a strip and its rulings for the border to run along these; else it runs across them."""
-
-AGREE_COSINE = 0.996
-"""Least cosine between the normals of rulings that meet at a vertex, 5 degrees; if they differ more, the jet decides."""
+from ebamcheck.surface.jets import corners_by, jets
+from ebamcheck.surface.regions import FREEFORM, LIKE, PLANE, STRIP, Borders, Regions
 
 
 class RegionNormals(NamedTuple):
@@ -45,7 +38,7 @@ def region_normals(part: Part, twin: Index, regions: Regions) -> RegionNormals:
     cosines = np.einsum("ij,ij->i", np.repeat(facet_normals, 3, axis=0), means[sectors.reshape(-1)])
     least = np.ones(count)
     np.minimum.at(least, sectors.reshape(-1)[corner], cosines[corner])
-    found = jets(vertices, faces, _corners(sectors, count, seen), means, least)
+    found = jets(corners_by(vertices, faces, sectors, seen), means, least)
     a, b = np.repeat(label, 3), label[twin // 3]
     inner = (twin != NO_TWIN) & ((a == b) | ((kind[a] == FREEFORM) & (kind[b] == FREEFORM)))
     rows = split_corners(faces, np.where(inner, twin, NO_TWIN).astype(twin.dtype))
@@ -56,13 +49,6 @@ def region_normals(part: Part, twin: Index, regions: Regions) -> RegionNormals:
     free = np.repeat(kind[label] == FREEFORM, 3)
     noise[rows.reshape(-1)[free]] = found.noise[sectors.reshape(-1)[free]]
     return RegionNormals(rows, normals, noise, sectors)
-
-
-def _corners(sectors: Index, count: int, seen: Bools) -> Corners:
-    flat = sectors.reshape(-1)
-    starts = np.concatenate([[0], np.cumsum(np.bincount(flat, minlength=count))]).astype(np.int32)
-    order = np.argsort(flat, kind="stable").astype(np.int32)
-    return Corners(sectors, starts, order, seen)
 
 
 def _means(
@@ -139,7 +125,8 @@ def _strip_normals(twin: Index, regions: Regions, curved: Floats, rows: Index, r
 def _ruling_along(sharp: Ints, mine: Index, link: Bools, borders: Borders) -> Ints:
     """The first ruling of its strip along each sharp half-edge; -1 for none."""
     edge, ruling = borders.of_groups(mine[sharp])
-    along = np.abs((borders.along[sharp[edge]] * borders.along[ruling]).sum(axis=1)) >= ALONG_COSINE
+    # Within 26 degrees of the rulings a border runs along these, else across them.
+    along = np.abs((borders.along[sharp[edge]] * borders.along[ruling]).sum(axis=1)) >= 0.9
     fits = np.flatnonzero(along & link[ruling])[::-1]
     found = np.full(sharp.size, -1, np.int64)
     found[edge[fits]] = ruling[fits]
@@ -159,7 +146,8 @@ def _put_together(
     of_strip, agree = np.zeros((count, 3)), np.ones(count, np.bool_)
     unit = _unit(strips)
     of_strip[sector[ruled]] = unit[row[ruled]]
-    apart = (unit[row[ruled]] * of_strip[sector[ruled]]).sum(axis=1) < AGREE_COSINE
+    # If the normals of rulings that meet at a vertex differ by more than 5 degrees the jet decides.
+    apart = (unit[row[ruled]] * of_strip[sector[ruled]]).sum(axis=1) < 0.996
     agree[sector[ruled][apart]] = False
     agree &= (of_strip != 0.0).any(axis=1)
     of_sector = np.where(agree[:, None], of_strip, curved)

@@ -15,19 +15,13 @@ import numpy as np
 
 from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.mesh.topology import Index
-from ebamcheck.surface.jets import Corners, predicted
+from ebamcheck.surface.jets import Corners, corners_by, predicted
+from ebamcheck.surface.planes import area_vectors
 from ebamcheck.threads import run_blocks
-
-VERTICES_A_BLOCK = 512
-
-MOST_ASKED = 20_000  # Most vertices in the regression, evenly spread over the mesh: more would not make the offset more certain
-LEAST_INNER = 4  # Fewest inner vertices for rows to mean something; a cone has only its tip
 
 IN_ROWS = 0.85
 """Least share of inner vertices with as many edges as in rows for a mesh to be a tessellator's. It is three quarters after edge
 collapses that remove a third of the facets, and three tenths on meshes of scattered points."""
-
-LEAST_TOLD = 100  # Fewest vertices for the regression to be evidence, where there are no rows
 
 LARGEST_OFFSET = 0.15
 """Largest distance of a vertex outside the surface, over its sagitta, error included. Scattered points and edge collapses onto
@@ -37,11 +31,6 @@ HALF = 0.5
 """Share of a lift that is made where vertices lie outside the surface. The point of least quadric error for the facets that
 collapsed into a vertex, those up to half an edge away, is half a sagitta outside; the facets between such vertices are half
 a sagitta inside on average."""
-
-ERRORS = 2.0  # Standard errors added to an offset before it is compared with its limit
-
-IN_LINE_COSINE = -0.999
-"""A vertex with four edges, two of which are this straight a continuation of each other, merely splits an edge."""
 
 
 class Offsets(NamedTuple):
@@ -56,23 +45,17 @@ class Offsets(NamedTuple):
     @property
     def is_in_rows(self) -> bool:
         """Whether the mesh is a tessellator's; one with too few inner vertices counts as such."""
-        return self.inner < LEAST_INNER or self.in_rows >= IN_ROWS
+        return self.inner < 4 or self.in_rows >= IN_ROWS  # a cone has only its tip
 
     @property
     def lift_share(self) -> float:
         """Share of a lift for which there is evidence, 0 .. 1."""
         if self.is_in_rows:
             return 1.0
-        if self.told < LEAST_TOLD:
+        if self.told < 100:  # too few vertices for the regression to be evidence
             return 0.0
-        if self.offset + ERRORS * self.error < -LARGEST_OFFSET:
-            return HALF  # inside the surface, where no program puts vertices: the prediction is wrong
-        return 1.0 if self.offset + ERRORS * self.error <= LARGEST_OFFSET else HALF
-
-
-NOTHING_TOLD = Offsets(
-    0, 0.0, 0, 0.0, np.inf
-)  # Result for a mesh without inner vertices, or one that was not examined
+        # Farther inside the surface no program puts vertices: the prediction is wrong.
+        return 1.0 if abs(self.offset + 2.0 * self.error) <= LARGEST_OFFSET else HALF
 
 
 def vertex_offsets(vertices: Floats, faces: Index, smooth: Bools, fans: Index, free: Bools) -> Offsets:
@@ -81,32 +64,31 @@ def vertex_offsets(vertices: Floats, faces: Index, smooth: Bools, fans: Index, f
     `smooth` (3 F,) half-edges are no creases, `fans` (F, 3) are the smooth fans of corners, and `free` (F,) facets are freely
     curved."""
     flat = fans.reshape(-1)
-    count = int(flat.max(initial=-1)) + 1
+    by_fan = corners_by(vertices, faces, fans)
+    edges = np.diff(by_fan.starts).astype(np.int64)
+    count = edges.size
     on = smooth.reshape(-1, 3)
     around = on & on[:, [2, 0, 1]]
-    edges = np.bincount(flat, minlength=count)
     closed = (np.bincount(flat, around.reshape(-1), minlength=count) == edges) & (edges > 0)
     inner = closed & (np.bincount(flat, np.repeat(free, 3), minlength=count) == edges)
-    starts = np.concatenate([[0], np.cumsum(edges)]).astype(np.int32)
-    corners = np.argsort(flat, kind="stable").astype(np.int32)
-    split, fewer = _splitting(vertices, faces, fans, starts, corners, closed)
+    split, fewer = _splitting(by_fan, closed)
     in_rows = (edges - fewer)[inner & ~split]
     if not in_rows.size:
-        return NOTHING_TOLD
+        return Offsets(0, 0.0, 0, 0.0, np.inf)
     share = float(max(np.mean(in_rows == 6), np.mean((in_rows == 4) | (in_rows == 8))))
-    rows = NOTHING_TOLD._replace(inner=in_rows.size, in_rows=share)
+    rows = Offsets(in_rows.size, share, 0, 0.0, np.inf)
     if share >= IN_ROWS:
         return rows
     found = np.full((count, 2), np.nan)
+    # At most 20,000 vertices, evenly spread over the mesh: more would not make the offset more certain.
     asked = np.zeros(count, np.bool_)
-    asked[np.flatnonzero(inner)[:: -(-int(inner.sum()) // MOST_ASKED)]] = True
-
-    by_fan = Corners(fans, starts, corners, np.ones(len(faces), np.bool_))
+    asked[np.flatnonzero(inner)[:: -(-int(inner.sum()) // 20_000)]] = True
+    areas = area_vectors(vertices[faces])
 
     def work(first: int, last: int) -> None:
-        predicted(vertices, faces, by_fan, asked, first, last, found)
+        predicted(by_fan, areas, asked, first, last, found)
 
-    run_blocks(work, count, VERTICES_A_BLOCK)
+    run_blocks(work, count, 512)
     x, r = found[np.isfinite(found).all(axis=1)].T
     square = float(x @ x)
     if len(x) < 2 or square == 0.0:
@@ -117,21 +99,19 @@ def vertex_offsets(vertices: Floats, faces: Index, smooth: Bools, fans: Index, f
     return rows._replace(told=len(x), offset=offset, error=error)
 
 
-def _splitting(
-    vertices: Floats, faces: Index, fans: Index, starts: Index, corners: Index, closed: Bools
-) -> tuple[Bools, Ints]:
+def _splitting(by_fan: Corners, closed: Bools) -> tuple[Bools, Ints]:
     """Fans of vertices that split an edge, and how many edges fewer each fan has without them."""
     split, fewer = np.zeros(closed.size, np.bool_), np.zeros(closed.size, np.int64)
-    four = np.flatnonzero(closed & (np.diff(starts) == 4))
-    around = corners[starts[four][:, None] + np.arange(4)]
-    flat = faces.reshape(-1)
+    four = np.flatnonzero(closed & (np.diff(by_fan.starts) == 4))
+    around = by_fan.corners[by_fan.starts[four][:, None] + np.arange(4)]
+    flat, vertices = by_fan.faces.reshape(-1), by_fan.vertices
     ahead = vertices[flat[3 * (around // 3) + (around + 1) % 3]] - vertices[flat[around[:, :1]]]
     lengths = np.linalg.norm(ahead, axis=2)
     product = np.einsum("nad,nbd->nab", ahead, ahead)
     cosine = product / np.maximum(lengths[:, :, None] * lengths[:, None], 1e-300)
-    straight = cosine.min(axis=2, initial=1.0) <= IN_LINE_COSINE
+    straight = cosine.min(axis=2, initial=1.0) <= -0.999  # two edges that continue each other
     split[four[straight.any(axis=1)]] = True
     # Two of the four lie on the line; the corner that follows one of them in its facet is one of the other two.
     across = around[straight]
-    np.add.at(fewer, fans.reshape(-1)[3 * (across // 3) + (across + 2) % 3], 1)
+    np.add.at(fewer, by_fan.sectors.reshape(-1)[3 * (across // 3) + (across + 2) % 3], 1)
     return split, fewer

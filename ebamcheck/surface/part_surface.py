@@ -25,8 +25,6 @@ from ebamcheck.surface.normals import region_normals
 from ebamcheck.surface.offsets import Offsets, vertex_offsets
 from ebamcheck.surface.regions import FREEFORM, PLANE, find_regions
 
-LEAST_SAGITTA_MM = 1e-6  # Facets with a smaller sagitta are left out of the median
-
 
 class Sagittas(NamedTuple):
     """How far facets are from the surface, by their dihedral angles, mm; infinite where nothing is known."""
@@ -66,7 +64,6 @@ _Found = TypeVar("_Found")
 _Key = TypeVar("_Key", bound=Hashable)
 
 _kept: WeakSet[Part] = WeakSet()
-
 _memories: list[WeakKeyDictionary[Part, Any]] = []  # Last key and result of each decorated function, by part
 
 
@@ -123,32 +120,20 @@ def surface_of(part: Part, settings: CurveSettings) -> PartSurface:
     regions = find_regions(part, twin, settings)
     label = regions.groups.label
     kind, facet_normals = regions.kind[label], regions.groups.normals[label]
-    found = region_normals(part, twin, regions)
+    normals = region_normals(part, twin, regions)
     sagittas = mesh_sagittas(vertices, faces, twin, facet_normals, kind)
-    return PartSurface(
-        vertices,
-        faces,
-        across,
-        twin,
-        found.rows,
-        found.normals,
-        found.noise,
-        found.fans,
-        kind,
-        label,
-        facet_normals,
-        sagittas,
-        vertex_offsets(vertices, faces, twin != NO_TWIN, found.fans, kind == FREEFORM),
-        exact_surfaces(part, twin, across, regions, sagittas.typical),
-    )
+    offsets = vertex_offsets(vertices, faces, twin != NO_TWIN, normals.fans, kind == FREEFORM)
+    exact = exact_surfaces(part, twin, across, regions, sagittas.typical)
+    mesh = vertices, faces, across, twin
+    return PartSurface(*mesh, *normals, kind, label, facet_normals, sagittas, offsets, exact)
 
 
 def mesh_sagittas(
     vertices: Floats, faces: Index, twin: Index, normals: Floats, kind: NDArray[np.uint8]
 ) -> Sagittas:
     """Sagittas across edges that are no crease: of an arc over the lower of the two facets that turns by what they turn."""
-    count = len(vertices)
-    edges = vertices[np.roll(faces, -1, axis=1)] - vertices[faces]
+    count, heads = len(vertices), np.roll(faces, -1, axis=1)
+    edges = vertices[heads] - vertices[faces]
     lengths = np.linalg.norm(edges, axis=2)
     areas = 0.5 * np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
     heights = (2.0 * areas[:, None] / np.maximum(lengths, 1e-300)).reshape(-1)
@@ -158,13 +143,14 @@ def mesh_sagittas(
     edge = np.zeros(twin.size)
     edge[h] = turn * np.minimum(heights[h], heights[g]) / 8.0
     of_facet = edge.reshape(-1, 3).max(axis=1, initial=0.0)
-    told = np.flatnonzero((kind != PLANE) & (of_facet > LEAST_SAGITTA_MM))
+    # The median leaves out planes and facets that are as good as flat.
+    told = np.flatnonzero((kind != PLANE) & (of_facet > 1e-6))
     if not told.size:
         return Sagittas(np.full(count, np.inf), np.full(count, np.inf), np.inf)
     order = told[np.argsort(of_facet[told], kind="stable")]
     below = np.cumsum(areas[order])
     typical = float(of_facet[order][np.searchsorted(below, 0.5 * below[-1])])
-    ends = np.concatenate([faces.reshape(-1)[h], np.roll(faces, -1, axis=1).reshape(-1)[h]])
+    ends = np.concatenate([faces.reshape(-1)[h], heads.reshape(-1)[h]])
     long, both = np.tile(lengths.reshape(-1)[h], 2), np.tile(edge[h], 2)
     weights = np.bincount(ends, long, minlength=count)
     mean = np.bincount(ends, long * both, minlength=count) / np.where(weights > 0.0, weights, 1.0)

@@ -8,12 +8,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 
-from ebamcheck.kernels import Floats, kernel
-from ebamcheck.mesh.part import (
-    Part,
-    rotation_to_z,
-)
+from ebamcheck.kernels import Floats, Ints, kernel
+from ebamcheck.mesh.part import Part, rotation_to_z
 from ebamcheck.mesh.topology import NO_TWIN, Index
 from ebamcheck.settings.base import UNITS_MM
 
@@ -23,9 +22,6 @@ far away. The vertex is tested again once the group is complete."""
 
 SURE_HEIGHT = 8.0
 """Height of a facet, in tolerances, from which its normal shows which way it faces: rounding tilts it by only a few degrees."""
-
-IN_PLANE = 2.0
-"""Largest distance, in tolerances, of a vertex from the plane of its complete group: one for itself, one for the plane."""
 
 
 class PlanarGroups(NamedTuple):
@@ -42,41 +38,49 @@ class PlanarGroups(NamedTuple):
 def planar_groups(vertices: Floats, faces: Index, twin: Index, tolerance_mm: float) -> PlanarGroups:
     """Group the facets that are coplanar with their neighbours, within the tolerance."""
     corners = vertices[faces]
-    vectors = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    vectors = area_vectors(corners)
     areas = np.linalg.norm(vectors, axis=1)
     longest = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2).max(axis=1, initial=0.0)
-    order = np.argsort(-areas, kind="stable").astype(np.int32)
-    label, count = _grow(vertices, faces, twin, vectors, areas, longest, order, tolerance_mm)
+    facets = _Facets(vertices, faces, twin, vectors, areas, longest, corners.mean(axis=1))
+    label, count = _grow(facets, np.argsort(-areas, kind="stable").astype(np.int32), tolerance_mm)
     normals, group_areas, offsets = _measured(corners, vectors, areas, label, count)
-    count = _put_out(corners, label, normals, offsets, IN_PLANE * tolerance_mm)
+    # A vertex may be off the plane of its complete group by two tolerances: one for itself, one for the plane.
+    count = _put_out(corners, label, normals, offsets, 2.0 * tolerance_mm)
     if count > len(normals):
         normals, group_areas, offsets = _measured(corners, vectors, areas, label, count)
     sizes = np.bincount(label, minlength=count).astype(np.int32)
     starts = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int32)
-    return PlanarGroups(
-        label, normals, sizes, group_areas, starts, np.argsort(label, kind="stable").astype(np.int32)
-    )
+    by_group = np.argsort(label, kind="stable").astype(np.int32)
+    return PlanarGroups(label, normals, sizes, group_areas, starts, by_group)
+
+
+def area_vectors(corners: Floats) -> Floats:
+    """Normals of triangles (n, 3, 3) times their areas, mm2."""
+    return np.asarray(0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
+
+
+def connected(a: Ints | Index, b: Ints | Index, count: int) -> Ints:
+    """Number of the piece (count,) that each item belongs to, if items `a` are joined with items `b`."""
+    links = coo_matrix((np.ones(len(a)), (a, b)), (count, count))
+    return np.asarray(connected_components(links, directed=False)[1], np.int64)
+
+
+class _Facets(NamedTuple):
+    """What growing groups reads of a mesh."""
+
+    vertices: Floats
+    faces: Index
+    twin: Index
+    vectors: Floats  # (F, 3) normal times area
+    areas: Floats
+    longest: Floats  # (F,) longest edge, mm
+    middles: Floats  # (F, 3) mm
 
 
 @kernel
-def _middle(vertices: Floats, faces: Index, f: int, axis: int) -> float:
-    """Coordinate of the middle of a facet, mm."""
-    a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-    return float(vertices[a, axis] + vertices[b, axis] + vertices[c, axis]) / 3.0
-
-
-@kernel
-def _grow(
-    vertices: Floats,
-    faces: Index,
-    twin: Index,
-    vectors: Floats,
-    areas: Floats,
-    longest: Floats,
-    order: Index,
-    tolerance: float,
-) -> tuple[Index, int]:
+def _grow(facets: _Facets, order: Index, tolerance: float) -> tuple[Index, int]:
     """Label facets by plane, largest seed first; a group's plane follows all that it has taken up."""
+    vertices, faces, twin, vectors, areas, longest, middles = facets
     label = np.full(len(faces), -1, np.int32)
     stack = np.empty(len(faces), np.int32)
     groups = 0
@@ -90,7 +94,7 @@ def _grow(
         for axis in range(3):
             total[axis] = vectors[seed, axis]
             normal[axis] = total[axis] / max(area, 1e-300)
-            middle[axis] = _middle(vertices, faces, seed, axis)
+            middle[axis] = middles[seed, axis]
         depth = 0
         if area > 0.0:
             stack[0], depth = seed, 1
@@ -103,11 +107,8 @@ def _grow(
                     continue
                 e = g // 3
                 tip = faces[e, (g % 3 + 2) % 3]
-                x, y, z = (
-                    vertices[tip, 0] - middle[0],
-                    vertices[tip, 1] - middle[1],
-                    vertices[tip, 2] - middle[2],
-                )
+                x, y = vertices[tip, 0] - middle[0], vertices[tip, 1] - middle[1]
+                z = vertices[tip, 2] - middle[2]
                 away = np.sqrt(x * x + y * y + z * z)
                 allowed = tolerance * min(1.0 + away * reach / area, MOST_REACH)
                 if abs(x * normal[0] + y * normal[1] + z * normal[2]) > allowed:
@@ -122,7 +123,7 @@ def _grow(
                 area += areas[e]
                 for axis in range(3):
                     total[axis] += vectors[e, axis]
-                    middle[axis] += (_middle(vertices, faces, e, axis) - middle[axis]) * (areas[e] / area)
+                    middle[axis] += (middles[e, axis] - middle[axis]) * (areas[e] / area)
                 length = np.sqrt(total[0] ** 2 + total[1] ** 2 + total[2] ** 2)
                 for axis in range(3):
                     normal[axis] = total[axis] / length if length > 0.0 else normal[axis]
@@ -165,22 +166,14 @@ def _put_out(corners: Floats, label: Index, normals: Floats, offsets: Floats, al
 # -- Rounding of coordinates: the tolerance within which facets count as lying in one plane --------------------
 
 
-LEAST_TOLERANCE_MM = 5e-5
-"""Vertices this near to a plane lie in it, however fine the numbers of the file: programs that split an edge or rotate a part
-leave some 1e-5 mm. It is a twentieth of the least distance of contour points, far below any chord error."""
-
-DECIMALS = 3, 4, 5, 6
-"""Decimal places to look for in the numbers of an ASCII file; fewer are a part's own round dimensions."""
-
-FLOAT32_STEP = 2.0**-23  # Step between 32-bit floating-point numbers, over the power of two below them
-
-
 def plane_tolerance_mm(part: Part) -> float:
     """How far a vertex of a plane may lie from it, mm: twice as far as half a step of each coordinate moves it.
 
-    Twice, because the plane itself goes through rounded vertices.
+    Twice, because the plane itself goes through rounded vertices. At least 5e-5 mm, however fine the numbers of the file: programs
+    that split an edge or rotate a part leave some 1e-5 mm. That is a twentieth of the least distance of contour points, far below
+    any chord error.
     """
-    return max(LEAST_TOLERANCE_MM, float(2.0 * np.sqrt(3.0) * coordinate_error_mm(part)))
+    return max(5e-5, float(2.0 * np.sqrt(3.0) * coordinate_error_mm(part)))
 
 
 def coordinate_error_mm(part: Part) -> float:
@@ -188,25 +181,24 @@ def coordinate_error_mm(part: Part) -> float:
     largest = float(np.abs(part.bounds).max(initial=0.0))
     if not len(part.faces) or largest == 0.0:
         return 0.0
-    half_step: float = 0.5 * FLOAT32_STEP * 2.0 ** np.floor(np.log2(largest))
-    digits = _decimals(_in_file(part), half_step / UNITS_MM[part.units])
+    # 32-bit numbers have steps of 2^-23 of the power of two below them.
+    half_step: float = 0.5 * 2.0**-23 * 2.0 ** np.floor(np.log2(largest))
+    in_file: Floats = part.vertices / UNITS_MM[part.units]
+    if part.direction != (0.0, 0.0, 1.0):
+        in_file = in_file @ rotation_to_z(part.direction)
+    digits = _decimals(in_file, half_step / UNITS_MM[part.units])
     return half_step if digits is None else max(half_step, 0.5 * 10.0**-digits * UNITS_MM[part.units])
 
 
-def _in_file(part: Part) -> Floats:
-    """Vertices in the coordinates and unit of the file."""
-    points: Floats = part.vertices / UNITS_MM[part.units]
-    if part.direction != (0.0, 0.0, 1.0):
-        points = points @ rotation_to_z(part.direction)
-    return points
-
-
 def _decimals(points: Floats, half_step: float) -> int | None:
-    """Decimal places of all coordinates, of :data:`DECIMALS`; None if there are other ones, or if any number would fit."""
-    for digits in (DECIMALS[0] - 1, *DECIMALS):
+    """Decimal places of all coordinates, 3 to 6; None if there are others, or if any number would fit.
+
+    Fewer are a part's own round dimensions.
+    """
+    for digits in range(2, 7):
         scaled = points * 10.0**digits
         if 10.0**digits * half_step > 0.05:
             return None  # any 32-bit number of this size looks like a decimal
         if (np.abs(scaled - np.round(scaled)) <= 2.0 * 10.0**digits * half_step + 1e-9).all():
-            return digits if digits >= DECIMALS[0] else None
+            return digits if digits >= 3 else None
     return None

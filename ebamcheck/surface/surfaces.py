@@ -10,8 +10,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
 from ebamcheck.kernels import Floats, Ints
 from ebamcheck.mesh.part import Part
@@ -19,6 +17,7 @@ from ebamcheck.mesh.topology import NO_TWIN
 from ebamcheck.settings.stages import CurveSettings
 from ebamcheck.surface.exact_forms import CONE, CYLINDER, FLAT, KIND, NAMES, OWN, SPHERE, TORUS
 from ebamcheck.surface.part_surface import PartSurface, surface_of
+from ebamcheck.surface.planes import area_vectors, connected
 from ebamcheck.surface.regions import PLANE, STRIP
 
 KINDS = ("plane", "cylinder", "cone", "sphere", "torus", "quadric", "ruled", "freeform")
@@ -32,7 +31,7 @@ class Surface:
     facets: Ints  # (n,) indices
     area_mm2: float
     size_mm: tuple[float, float, float]  # extents of its bounding box
-    figure: str = ""  # its dimensions, such as "radius 5 mm"; of a freeform patch the residual of a cubic through the vertices about each
+    figure: str = ""  # its dimensions, such as "radius 5 mm"; of a freeform patch the noise of its vertices
 
     def as_dict(self) -> dict[str, Any]:
         """Everything but the list of facets, for JSON."""
@@ -53,17 +52,15 @@ def table(found: list[Surface]) -> str:
     total = sum(s.area_mm2 for s in found)
     lines = []
     for kind in KINDS:
-        of_kind = [s for s in found if s.kind == kind]
-        if of_kind:
-            area = sum(s.area_mm2 for s in of_kind)
-            share = 100.0 * area / max(total, 1e-300)
-            lines.append(f"{kind:10} {len(of_kind):6} regions {area:14.6g} mm2 {share:6.1f} %")
+        areas = [s.area_mm2 for s in found if s.kind == kind]
+        if areas:
+            share = 100.0 * sum(areas) / max(total, 1e-300)
+            lines.append(f"{kind:10} {len(areas):6} regions {sum(areas):14.6g} mm2 {share:6.1f} %")
     lines.append("")
     for s in found[:MOST_LISTED]:
         size = " x ".join(f"{x:.4g}" for x in s.size_mm)
-        lines.append(
-            f"{s.kind:10} {s.area_mm2:12.6g} mm2 {len(s.facets):8} facets  {size} mm  {s.figure}".rstrip()
-        )
+        line = f"{s.kind:10} {s.area_mm2:12.6g} mm2 {len(s.facets):8} facets  {size} mm  {s.figure}"
+        lines.append(line.rstrip())
     if len(found) > MOST_LISTED:
         lines.append(f"and {len(found) - MOST_LISTED} smaller ones")
     return "\n".join(lines)
@@ -71,61 +68,47 @@ def table(found: list[Surface]) -> str:
 
 def surfaces(part: Part, settings: CurveSettings) -> list[Surface]:
     """Find the surfaces of a part, the largest first."""
-    normals = surface_of(part, settings)
-    label = _connected(normals)
-    order = np.argsort(label, kind="stable")
-    found = [
-        _surface(part, normals, facets)
-        for facets in np.split(order, np.cumsum(np.bincount(label))[:-1])
-        if len(facets)
-    ]
+    surface = surface_of(part, settings)
+    label, rows = surface.exact
+    named = (label >= 0) & np.append(rows[:, KIND] != FLAT, False)[label]
+    form = np.where(named, label, -1).astype(
+        np.int64
+    )  # exact surface of each facet; -1 for planes and others
+    of_facet = _connected(surface, form)
+    order = np.argsort(of_facet, kind="stable")
+    groups = np.split(order, np.cumsum(np.bincount(of_facet))[:-1])
+    found = [_surface(part, surface, facets, int(form[facets[0]])) for facets in groups if len(facets)]
     return sorted(found, key=lambda s: (-s.area_mm2, int(s.facets[0])))
 
 
-def _form(normals: PartSurface) -> Ints:
-    """Exact surface (F,) of each facet; -1 for planes and what is not known."""
-    label, rows = normals.exact
-    if not len(rows):
-        return label.astype(np.int64)
-    return np.where((label >= 0) & (rows[label, KIND] != FLAT), label, -1).astype(np.int64)
-
-
-def _connected(normals: PartSurface) -> Ints:
+def _connected(surface: PartSurface, form: Ints) -> Ints:
     """Number (F,) of the surface of each facet."""
-    twin, form, region, kind = normals.twin, _form(normals), normals.region, normals.kind
+    twin, region, kind = surface.twin, surface.region, surface.kind
     half = np.flatnonzero(twin != NO_TWIN)
     a, b = half // 3, twin[half] // 3
     unnamed = (form[a] < 0) & (form[b] < 0)
     joined = unnamed & ((region[a] == region[b]) | ((kind[a] == kind[b]) & (kind[a] != PLANE)))
     named = np.flatnonzero(form >= 0)
-    first = np.zeros(len(normals.exact.rows), np.int64)
+    first = np.zeros(len(surface.exact.rows), np.int64)
     first[form[named][::-1]] = named[::-1]
     a, b = np.concatenate([a[joined], named]), np.concatenate([b[joined], first[form[named]]])
-    links = coo_matrix((np.ones(len(a)), (a, b)), (len(form), len(form)))
-    return np.asarray(connected_components(links, directed=False)[1], np.int64)
+    return connected(a, b, len(form))
 
 
-def _surface(part: Part, normals: PartSurface, facets: Ints) -> Surface:
+def _surface(part: Part, surface: PartSurface, facets: Ints, form: int) -> Surface:
     corners = part.vertices[part.faces[facets]]
-    area = 0.5 * np.linalg.norm(
-        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
-    )
+    area = np.linalg.norm(area_vectors(corners), axis=1)
     x, y, z = np.ptp(corners.reshape(-1, 3), axis=0).tolist()
-    form = int(_form(normals)[facets[0]])
-    name, figure = {PLANE: "plane", STRIP: "ruled"}.get(int(normals.kind[facets[0]]), "freeform"), ""
+    name, figure = {PLANE: "plane", STRIP: "ruled"}.get(int(surface.kind[facets[0]]), "freeform"), ""
     if form >= 0:
-        row = normals.exact.rows[form]
+        row = surface.exact.rows[form]
         name, figure = NAMES[int(row[KIND])], _figure(row)
     elif name == "freeform":
-        figure = _noise(normals, facets)
+        # Distance of vertices from a smooth surface through their neighbours, where it is known.
+        noise = surface.noise[surface.sectors[facets]]
+        known = noise[np.isfinite(noise)]
+        figure = f"noise {np.median(known):.2g} mm" if known.size else ""
     return Surface(name, facets, float(area.sum()), (x, y, z), figure)
-
-
-def _noise(normals: PartSurface, facets: Ints) -> str:
-    """Median distance of vertices from a smooth surface through their neighbours, as text; empty where it is unknown."""
-    noise = normals.noise[normals.sectors[facets]]
-    told = noise[np.isfinite(noise)]
-    return f"noise {np.median(told):.2g} mm" if told.size else ""
 
 
 def _figure(row: Floats) -> str:

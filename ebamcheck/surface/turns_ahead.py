@@ -22,25 +22,14 @@ from ebamcheck.kernels import Floats, kernel
 from ebamcheck.mesh.topology import NO_TWIN, Index
 from ebamcheck.threads import run_blocks
 
-MOST_STEPS = 24
-"""Most facets crossed beyond an end of an edge; coplanar ones make one chord, however many they are."""
-
 SNAP = 0.02  # A path that passes within this share of the crossed edge of a vertex continues from the vertex
 MOST_JOINTS = 4  # Most turns noted beyond an end of an edge
-LEAST_SHAPE = 1e-6  # Least 16 A^2 / (a^2 + b^2 + c^2)^2 of a facet with area A and sides a, b, c for its circumcentre to be usable
 
 WIDTH_RATIO = 3.0
 """A chord this many times longer than its neighbour is a flat side beside a rounding. A chord that many times shorter than both
 of its neighbours is a rounding of a single chord: both turns at its ends are its own."""
 
-LARGEST_SPAN_RAD = np.deg2rad(160.0)  # Largest span of a chord; the height of a larger one means nothing
-LEAST_APART = 0.25  # Least distance of the middles of chords, over a chord's length, from which a curvature can be taken
-
-EDGES_A_BLOCK = 4096
-
-Rows = NDArray[
-    np.float32
-]  # Half the memory of other columns: these values are only limits, for which 32 bits are enough
+Rows = NDArray[np.float32]  # Half the memory of other columns; these values are only limits
 
 
 class Ground(NamedTuple):
@@ -62,9 +51,7 @@ class EndsAhead(NamedTuple):
 
     told: Rows  # (3 F, 2) height of the surface over the edge by each of its ends, mm, positive to the outside; NaN at a crease
     ratio: Rows  # (3 F, 2) length of the edge over that of the chord ahead; 0 at a crease
-    turns: NDArray[
-        np.int8
-    ]  # (3 F,) number of turns met ahead of both ends together; -1 where nothing was asked
+    turns: NDArray[np.int8]  # (3 F,) number of turns ahead of both ends together; -1 where nothing was asked
 
 
 def ends_ahead(ground: Ground, flat_mm: float, step: int = 1) -> EndsAhead:
@@ -74,14 +61,13 @@ def ends_ahead(ground: Ground, flat_mm: float, step: int = 1) -> EndsAhead:
     neighbours: a sample stands for the whole mesh.
     """
     count = 3 * len(ground.faces)
-    found = EndsAhead(
-        np.full((count, 2), np.nan, np.float32), np.zeros((count, 2), np.float32), np.full(count, -1, np.int8)
-    )
+    told, ratio = np.full((count, 2), np.nan, np.float32), np.zeros((count, 2), np.float32)
+    found = EndsAhead(told, ratio, np.full(count, -1, np.int8))
 
     def work(first: int, last: int) -> None:
         _ask(ground, flat_mm, step, first, last, found)
 
-    run_blocks(work, count, EDGES_A_BLOCK)
+    run_blocks(work, count, 4096)
     return found
 
 
@@ -126,12 +112,12 @@ def _ask(ground: Ground, flat: float, step: int, first: int, last: int, found: E
                         break  # the rounding ends here
                     turned += turns[end, k]
                     apart = centres[end, k] - centres[end, 0]
-                    if apart >= LEAST_APART * near:
+                    if apart >= 0.25 * near:  # nearer middles tell no curvature
                         bend = side * turned / apart
                 beside = min(max(bend * centres[end, 0], 0.0), abs(own))
                 if joints[end] > 1 and min(chord, lengths[end, 2]) >= WIDTH_RATIO * near:
                     beside = max(beside, min(0.5 * side * (own + turns[end, 1]), abs(own)))
-            span = min(2.0 * (abs(own) - beside), LARGEST_SPAN_RAD)
+            span = min(2.0 * (abs(own) - beside), np.deg2rad(160.0))  # beyond that a height means nothing
             height = np.copysign(0.5 * chord * np.tan(0.25 * span), own)
             found.told[h, end] = found.told[g, end] = height
             found.ratio[h, end] = found.ratio[g, end] = chord / max(near, 1e-9)
@@ -155,7 +141,7 @@ def _walk(
             fan = ground.fans[f, k]
     at_vertex, edge, n = True, -1, 0
     x, y, chord = 1.0, 0.0, length
-    for _ in range(MOST_STEPS):
+    for _ in range(24):  # facets crossed
         from_vertex = at_vertex
         if from_vertex:
             edge = _through_fan(ground, fan, here, d, m)
@@ -238,5 +224,6 @@ def circumcentres(corners: Floats) -> Floats:
     total = square.sum(axis=1, keepdims=True)
     weights = square * (total - 2.0 * square)
     whole = weights.sum(axis=1, keepdims=True)
-    weights = np.where(whole <= LEAST_SHAPE * total * total, 1.0, weights)
+    # This is 16 times the square of the area, over the square of the sum of the squared sides.
+    weights = np.where(whole <= 1e-6 * total * total, 1.0, weights)
     return np.asarray((weights[:, :, None] * corners).sum(axis=1) / weights.sum(axis=1)[:, None])

@@ -151,6 +151,7 @@ def _feeds(build: _Build) -> str:
 # -- heights and layers ------------------------------------------------------------------------------
 
 
+# Columns of the table of heights, by their names on the page
 HEIGHTS = {
     "base, mm": "base_mm",
     "planned top, mm": "planned_top_mm",
@@ -161,7 +162,6 @@ HEIGHTS = {
     "as grown, mm": "grown_mm",
     "cusp, mm": "cusp_mm",
 }
-"""Columns of the table of heights, by their names on the page."""
 
 
 def _heights(build: _Build) -> Markup:

@@ -17,12 +17,9 @@ from ebamcheck_reports.markup import Markup, element
 Box = tuple[float, float, float, float]
 
 MARGIN_PX = 12.0
-FOOT_PX = 26.0
-"""Room for the scale bar."""
-HEIGHT_LIMIT = 1.1
-"""Ratio of height to width beyond which a tall layer is drawn at a smaller scale."""
-REDUCTION_PX = 0.2
-"""Largest distance of a drawn line from its points."""
+FOOT_PX = 26.0  # Room for the scale bar
+HEIGHT_LIMIT = 1.1  # Ratio of height to width beyond which a tall layer is drawn at a smaller scale
+REDUCTION_PX = 0.2  # Largest distance of a drawn line from its points
 LEAST_EXTENT_MM = 1e-6
 
 

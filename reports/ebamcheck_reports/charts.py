@@ -15,12 +15,10 @@ from ebamcheck.showing.colours import COLOURS, DASHES
 from ebamcheck_reports.markup import DOTS, Markup, element, join, legend
 
 WIDTH_PX, HEIGHT_PX, LOG_HEIGHT_PX = 960.0, 280.0, 420.0
+# Room for names and figures, which are twice as large in print and on phones
 LEFT_PX, RIGHT_PX, TOP_PX, BOTTOM_PX = 100.0, 16.0, 14.0, 56.0
-"""Room for names and figures, which are twice as large in print and on phones."""
-
+# Most points of a drawn series, about one per pixel, and of one whose points are marked by dots
 MOST_POINTS, FEW_POINTS = 700, 60
-"""Most points of a drawn series, about one per pixel, and of one whose points are marked by dots."""
-
 RED = "#b3261e"
 NOTHING = element("p", "There is nothing to draw.", class_="none")
 

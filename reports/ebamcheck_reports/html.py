@@ -28,6 +28,7 @@ SECTIONS: tuple[tuple[str, str, Callable[[RunData], Markup]], ...] = (
     ("reproduce", "Reproduce", evidence.reproduce),
 )
 
+# Gates that judge what a section shows. The section is folded where they passed; one that is judged by none, where all did.
 JUDGED_BY = {
     "part": ("input",),
     "slicers": ("agreement",),
@@ -37,10 +38,9 @@ JUDGED_BY = {
     "metal": ("deposit",),
     "program": ("program", "entry"),
 }
-"""Gates that judge what a section shows. The section is folded where they passed; one that is judged by none, where all did."""
 
+# Sections that are left out for a cross-check alone
 OF_THE_PROGRAM = ("fit", "scan", "metal", "program", "certificate")
-"""Sections that are left out for a cross-check alone."""
 
 
 def write(run: RunFolder) -> list[str]:

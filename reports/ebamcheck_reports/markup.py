@@ -189,8 +189,7 @@ def collapsed(title: str, *children: Any) -> Markup:
     return element("details", element("summary", title), *children)
 
 
-DOTS = "dots"
-"""In place of dashes, for a legend entry of dots."""
+DOTS = "dots"  # In place of dashes, for a legend entry of dots
 
 
 def legend(entries: Iterable[tuple[str, str, str]]) -> Markup:

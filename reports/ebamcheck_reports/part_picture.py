@@ -12,25 +12,19 @@ from ebamcheck.layers.stack import Layers
 from ebamcheck_reports.markup import Markup, element
 
 WIDTH_PX, HEIGHT_PX, MARGIN_PX = 420.0, 380.0, 8.0
-
+# Most slabs drawn; of more layers some are chosen, each drawn as high as all layers up to the next chosen one
 MOST_SLABS = 60
-"""Most slabs drawn; of more layers some are chosen, each drawn as high as all layers up to the next chosen one."""
-
+# Largest distance of a drawn outline from its contour, and longest piece of it in one shade
 REDUCTION_PX, SHADED_EVERY_PX = 0.3, 8.0
-"""Largest distance of a drawn outline from its contour, and longest piece of it in one shade."""
-
+# Length of an outline over which its direction is taken for the shade, up to a turn at which its walls meet in an edge. Edges
+# of the outline are cut otherwise on every layer: shaded by their own directions, a curved wall comes out in patches.
 SHADED_OVER_PX, SHARP_RAD = 10.0, math.radians(35.0)
-"""Length of an outline over which its direction is taken for the shade, up to a turn at which its walls meet in an edge. Edges of
-the outline are cut otherwise on every layer: shaded by their own directions, a curved wall comes out in patches."""
-
+# Direction of view (turn about the vertical, tilt downwards), and of the light, counter-clockwise from +X of the picture
 TURN_RAD, TILT_RAD, LIGHT_RAD = math.radians(28.0), math.radians(32.0), math.radians(155.0)
-"""Direction of view (turn about the vertical, tilt downwards), and of the light, counter-clockwise from +X of the picture."""
-
+# So many that none is told from the next one: with a few, their borders are stairs on a curved wall
 SHADES = 48
-"""So many that none is told from the next one: with a few, their borders are stairs on a curved wall."""
-
+# Walls turned from the light and towards it, and tops: all between white and black, to be seen on either
 DARK, BRIGHT, TOP = (58, 84, 110), (166, 192, 214), "#c9d9e6"
-"""Walls turned from the light and towards it, and tops: all between white and black, to be seen on either."""
 
 
 def draw(layers: Layers, title: str) -> Markup | None:

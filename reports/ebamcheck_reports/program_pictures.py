@@ -23,12 +23,8 @@ from ebamcheck_reports.markup import Markup, element, join, paragraph
 from ebamcheck_reports.run_data import BEAD_WIDTH_MM, RunData
 
 CONTOUR, RAPID_MOVE, PLACE = "#d55e00", "#555555", "#b3261e"
-
-LIGHTEST = 0.85
-"""Part of the ramp that is used: thin lines of its last colours cannot be seen on white."""
-
-ARC_PARTS = 16
-"""Straight parts of a drawn arc."""
+LIGHTEST = 0.85  # Part of the ramp that is used: thin lines of its last colours cannot be seen on white
+ARC_PARTS = 16  # Straight parts of a drawn arc
 
 LEGEND = (
     ("contour, beam on", CONTOUR, ""),
@@ -95,11 +91,9 @@ def _straight(start: Floats, end: Floats) -> Floats:
 
 # -- places of failed checks -----------------------------------------------------------------------
 
+# Half the side of the inset over the width of a bead: wide enough to show what lies beside the place
 INSET_BEADS = 4.0
-"""Half the side of the inset over the width of a bead: wide enough to show what lies beside the place."""
-
-LINES_AROUND = 3
-"""Lines of the text shown before and after the one in question."""
+LINES_AROUND = 3  # Lines of the text shown before and after the one in question
 
 
 def failed_checks(run: RunData) -> list[Markup]:

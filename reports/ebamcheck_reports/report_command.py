@@ -19,7 +19,9 @@ def report(
         typer.Option("-o", "--output", help="FILE.html; default: NAME.html for the run NAME.run."),
     ] = None,
 ) -> ExitCode:
-    """Render the report of a finished run, or of a live build, anew, as this version draws it; the run itself stays as it is.
+    """Render the report of a finished run or a live build anew.
+
+    It looks as this version draws it; the run itself stays as it is.
 
     Example: ebamcheck report blade.run -o blade.html
     """

@@ -20,14 +20,10 @@ from ebamcheck.scan import ScanPlan
 from ebamcheck.settings.config import Config, validated
 from ebamcheck_reports.markup import number
 
+# Gates of a run in their order; a run without contours ends after the second
 GATES = ("input", "agreement", "fit", "coverage", "deposit", "heat", "program")
-"""Gates of a run in their order; a run without contours ends after the second."""
-
-CHECK_GATES = GATES[:2]
-"""Gates of a cross-check alone."""
-
-BEAD_WIDTH_MM = 6.0
-"""Width at which beads are drawn if the settings name none."""
+CHECK_GATES = GATES[:2]  # Gates of a cross-check alone
+BEAD_WIDTH_MM = 6.0  # Width at which beads are drawn if the settings name none
 
 Column = TypeVar("Column")
 

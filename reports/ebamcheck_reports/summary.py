@@ -13,11 +13,11 @@ from ebamcheck_reports.run_data import RunData
 
 NAME = "summary.csv"
 
+# Figures that a kind of row does not have are empty; ``NaN`` and ``Infinity`` stand as in ``run.json``
 COLUMNS = (
     "part", "part_sha256", "settings_sha256", "exit_code", "kind", "name", "backend", "against", "passed", "figure", "limit", "unit",
     "where", "text", "layers", "compared_layers", "agreeing_layers", "max_hausdorff_mm", "max_p95_mm", "max_area_difference_mm2", "min_iou",
 )  # fmt: skip
-"""Figures that a kind of row does not have are empty; ``NaN`` and ``Infinity`` stand as in ``run.json``."""
 
 
 def write(run: RunFolder) -> list[str]:

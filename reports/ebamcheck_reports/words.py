@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-BLANK_LINE = "\u00a0"
-"""Room to write by hand, over a drawn line."""
+BLANK_LINE = "\u00a0"  # Room to write by hand, over a drawn line
 
 GATE_QUESTIONS = {
     "input": "Is the part a closed solid with an inside and an outside?",
@@ -16,11 +15,7 @@ GATE_QUESTIONS = {
     "entry": "Is the program that begins at a layer the end of the whole one, with a safe start of its own?",
 }
 
-EXIT_CODES = {
-    0: "every gate passed",
-    1: "at least one gate did not pass",
-    5: "nothing could be compared",
-}
+EXIT_CODES = {0: "every gate passed", 1: "at least one gate did not pass", 5: "nothing could be compared"}
 
 FAULTS = {
     "sound": "The mesh encloses its volume completely.",
@@ -45,8 +40,8 @@ STATUS = {
     "killed": "KILLED",
 }
 
+# What must not happen to a method; the others (a part it cannot take, a missing driver) are its declared limits
 LOST = frozenset({"crashed", "timed out", "out of memory", "killed"})
-"""What must not happen to a method; the others (a part it cannot take, a missing driver) are its declared limits."""
 
 METRICS = {
     "depth": "contours differ in depth",

@@ -18,7 +18,6 @@ from threading import Lock
 from typing import Annotated, Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ebamcheck.backend import BackendSettings, Probe, Progress
 from ebamcheck.errors import BackendFailed, BackendMissing
@@ -101,8 +100,7 @@ def _even_runs(heights: Floats) -> list[tuple[int, int]]:
 
 
 class LatticeStack:
-    """A part that `cut` cuts at the planes of a lattice, from several threads; what a lattice gave, with the `labels`, is kept for
-    later blocks."""
+    """A part that `cut` cuts at the planes of a lattice, from several threads; lattices are kept for later blocks."""
 
     def __init__(self, part: Part, labels: dict[str, Any], cut: Callable[[Lattice], Layers]) -> None:
         self.part = part
@@ -118,7 +116,7 @@ class LatticeStack:
         self._cut = None
         self._kept.clear()
 
-    def slice(self, heights: NDArray[np.float64], progress: Progress | None = None) -> Layers:
+    def slice(self, heights: Floats, progress: Progress | None = None) -> Layers:
         """Cut at strictly increasing heights (L,), mm."""
         with self._lock:
             return self._slice(heights, progress or (lambda _: None))
@@ -174,8 +172,7 @@ HALF_STEP = 2.0**-25  # largest rounding of a 32-bit float, over its value
 
 @dataclass(frozen=True)
 class Placement:
-    """A part and the planes that are wanted as a program gets them: magnified across the plane by `scale`, with layers `layer` high
-    on a bed at z = 0."""
+    """A part and its planes as a program gets them: magnified by `scale` across the plane, layers `layer` high from z = 0."""
 
     part: Part
     lattice: Lattice
@@ -269,8 +266,7 @@ class ProgramSettings(BackendSettings):
 
 @dataclass(frozen=True)
 class Program:
-    """A program of others: its command or the variable that names it, its Debian package, and what asks for its version and finds
-    it in the answer."""
+    """A program of others: its command or the variable that names it, its Debian package, and how to ask for its version."""
 
     name: str
     command: str
@@ -312,8 +308,7 @@ class Program:
         return Probe(True, versions={self.name: version})
 
     def run(self, arguments: Sequence[str | Path], folder: Path, time_limit_s: float) -> str:
-        """Run it in a folder, which also is its home; returns the end of what it wrote, or raises in one line, with its own last
-        words."""
+        """Run it in a folder, which also is its home; returns the end of its output, or raises its last words in one line."""
         code, said = _run([str(self.path()), *map(str, arguments)], folder, time_limit_s)
         if code is None:
             raise BackendFailed(f"{self.name} was ended: it took over {time_limit_s:g} s (time_limit_s)")

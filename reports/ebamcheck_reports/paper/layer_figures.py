@@ -31,19 +31,14 @@ from ebamcheck_reports.paper import published
 from ebamcheck_reports.paper.timing import STENCIL
 from ebamcheck_reports.sections import scan
 
-AREA_STEP = 8
-"""Step between the layers that are searched for the largest section."""
-
+AREA_STEP = 8  # Step between the layers that are searched for the largest section
 CONTOUR, PIXEL = "#d55e00", "#cfd4da"
-ENLARGED_PX = 12
-"""Half the side of the piece enlarged, in pixels of the image."""
-
+ENLARGED_PX = 12  # Half the side of the piece enlarged, in pixels of the image
 STRAIGHT, SPLIT = "#1c2126", "#b3261e"
 CURVED = tuple(colour for colour in COLOURS if colour != "#000000")
 
 Image = NDArray[np.bool_]
-Measured = tuple[dict[str, Any], list[Markup]]
-"""Part of the record, and the pictures of it."""
+Measured = tuple[dict[str, Any], list[Markup]]  # Part of the record, and the pictures of it
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,28 +22,23 @@ from ebamcheck_reports.paper import published
 from ebamcheck_reports.paper.published import Effort, Note
 from ebamcheck_reports.sections.fit import rays_rad
 
-FREEFORM = ("ladder", "blade", "impeller")
-"""Models with curved walls; the first one is drawn."""
-
+FREEFORM = ("ladder", "blade", "impeller")  # Models with curved walls; the first one is drawn
+# Tolerances of the sliced and of the reference tessellation; the paper's conclusion says "when the triangle tolerance is one"
+# and leaves the reference open
 MEDIUM_MM, FINE_MM = 1.0, 0.01
-"""Tolerances of the sliced and of the reference tessellation; the paper's conclusion says "when the
-triangle tolerance is one" and leaves the reference open."""
 
+# The paper's fit, which has no limit on how far a curve leaves its chords; and as ebamcheck runs it by default, where a part
+# that leaves them farther than ``curves.largest_bulge_mm`` stays a polyline
 FITS = (
     ("as written in the paper", CurveSettings(largest_bulge_mm=1e6)),
     ("with ebamcheck's limit", CurveSettings()),
 )
-"""The paper's fit, which has no limit on how far a curve leaves its chords; and as ebamcheck runs it by
-default, where a part that leaves them farther than ``curves.largest_bulge_mm`` stays a polyline."""
 
 KINDS = ("polar", "normal")
 FIGURES = ("range", "max", "rms", "mean_abs")
-
+# Blue for the fine contour and red for the medium one, as in the paper; its curve is green here
 REFERENCE, POLYLINE, FITTED = "#0072b2", "#d55e00", "#009e73"
-"""Blue for the fine contour and red for the medium one, as in the paper; its curve is green here."""
-
-ENLARGED_MM = (30.0, 15.0)
-"""Half the sides of the piece enlarged."""
+ENLARGED_MM = (30.0, 15.0)  # Half the sides of the piece enlarged
 
 
 def measure(effort: Effort, note: Note) -> tuple[dict[str, Any], list[Markup]]:

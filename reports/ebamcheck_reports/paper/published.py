@@ -6,29 +6,18 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
-LAYER_HEIGHT_MM, PIXEL_MM = 0.2, 0.1
-"""Layer thickness and pixel (section 2.2)."""
-
+LAYER_HEIGHT_MM, PIXEL_MM = 0.2, 0.1  # Layer thickness and pixel (section 2.2)
+# Time of the largest file, as the abstract and as section 5.1 give it
 SLICING_S, SLICING_TEXT_S = 89.0, 89.99
-"""Time of the largest file, as the abstract and as section 5.1 give it."""
-
-FACETS, LAYERS = 1_483_132, 4488
-"""Facets of the largest file and its layers (abstract)."""
-
-DEVICE = "Intel(R) UHD Graphics 630, 128 MB"
-"""What computed it (section 5.1)."""
-
+FACETS, LAYERS = 1_483_132, 4488  # Facets of the largest file and its layers (abstract)
+DEVICE = "Intel(R) UHD Graphics 630, 128 MB"  # What computed it (section 5.1)
+# Tolerances of the eleven files as printed (section 5.1): 0.4 stands before 0.8
 TOLERANCES_MM = (1.0, 0.4, 0.8, 0.08, 0.06, 0.04, 0.01, 0.006, 0.004, 0.002, 0.001)
-"""Tolerances of the eleven files as printed (section 5.1): 0.4 stands before 0.8."""
-
+# Sizes of the eleven files (section 5.1); they rise all the way
 SIZES_MB = (0.23, 0.30, 0.46, 0.91, 1.14, 1.80, 5.88, 9.04, 23.65, 48.05, 70.73)
-"""Sizes of the eleven files (section 5.1); they rise all the way."""
-
+# Critical angle, layer of the bunny, and the curve parts found in it (section 3.2)
 CORNER_ANGLE_DEG, CURVE_LAYER, CURVE_PARTS = 140.0, 118, 5
-"""Critical angle, layer of the bunny, and the curve parts found in it (section 3.2)."""
-
-CLAIMED_REDUCTION = 0.342
-"""Reduction of the error by the fit (abstract, section 5.2)."""
+CLAIMED_REDUCTION = 0.342  # Reduction of the error by the fit (abstract, section 5.2)
 
 
 class ErrorRange(NamedTuple):
@@ -49,8 +38,7 @@ class ErrorRange(NamedTuple):
 
 
 POLYLINE_ERROR = ErrorRange(-0.2125, 0.1137)
-FIT_ERROR = ErrorRange(-0.0810, 0.0955)
-"""Error ranges of the sliced and of the fitted data (section 5.2)."""
+FIT_ERROR = ErrorRange(-0.0810, 0.0955)  # Error ranges of the sliced and of the fitted data (section 5.2)
 
 
 def reduction(before: float, after: float) -> float:
@@ -87,8 +75,7 @@ def tolerances_by_size() -> tuple[float, ...]:
 
 # -- how much is done again ------------------------------------------------------------------------
 
-Note = Callable[[str], None]
-"""Callback for progress, with one line of text."""
+Note = Callable[[str], None]  # Callback for progress, with one line of text
 
 
 @dataclass(frozen=True)
@@ -108,8 +95,7 @@ class Effort:
         return tuple(t for t in tolerances_by_size() if t >= self.finest_mm)
 
 
+# About a minute on two cores: the sizes up to some 40,000 facets
 QUICK = Effort("quick", finest_mm=0.04, layer_step=8, literal_layers=6, polar_layers=24)
-"""About a minute on two cores: the sizes up to some 40,000 facets."""
-
+# All eleven sizes and all 4488 layers
 FULL = Effort("full", finest_mm=0.001, layer_step=1, literal_layers=24, polar_layers=200)
-"""All eleven sizes and all 4488 layers."""

@@ -27,8 +27,8 @@ from ebamcheck_reports.paper.timing import REPEAT_UNDER_S
 
 Record = Mapping[str, Any]
 
+# Figures whose reductions are told, each by its name
 REDUCTIONS = (("range", "range"), ("max", "maximum"), ("rms", "RMS"), ("mean_abs", "mean absolute"))
-"""Figures whose reductions are told, each by its name."""
 
 
 # -- Figure 9 --------------------------------------------------------------------------------------

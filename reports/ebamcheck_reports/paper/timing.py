@@ -17,14 +17,10 @@ from ebamcheck_reports.paper import published
 from ebamcheck_reports.paper.published import Effort, Note
 
 STENCIL = "stencil"
-LITERAL = "stencil, literal"
-"""The paper's own method: for each layer all facets above it are drawn."""
-
-STL_HEADER_BYTES, STL_FACET_BYTES = 84, 50
-"""Binary STL: header and count, and each facet."""
-
+LITERAL = "stencil, literal"  # The paper's own method: for each layer all facets above it are drawn
+STL_HEADER_BYTES, STL_FACET_BYTES = 84, 50  # Binary STL: header and count, and each facet
+# Times shorter than this are measured twice and the lesser is kept: other work on the machine easily spoils them
 REPEAT_UNDER_S = 2.0
-"""Times shorter than this are measured twice and the lesser is kept: other work on the machine easily spoils them."""
 
 
 class Method(NamedTuple):

@@ -183,13 +183,10 @@ def _findings(run: RunData) -> list[Markup]:
 
 MOST_LAYERS = 8
 WIDTH_PX, INSET_PX = 720, 320
-
+# Half the side of the inset over the depth or the limit, whichever is greater, so that both are visible; and at most over the
+# size of the layer, so that the inset enlarges at least a little even for a tiny layer
 INSET_LIMITS, LARGEST_INSET = 5.0, 0.15
-"""Half the side of the inset over the depth or the limit, whichever is greater, so that both are visible; and at most over
-the size of the layer, so that the inset enlarges at least a little even for a tiny layer."""
-
-MOST_BYTES = 300_000
-"""Size of a picture above which it is drawn at half its scale, which needs fewer points."""
+MOST_BYTES = 300_000  # Size of a picture above which it is drawn at half its scale, which needs fewer points
 
 
 class Place(NamedTuple):

@@ -34,8 +34,7 @@ from ebamcheck_reports.markup import (
 )
 from ebamcheck_reports.run_data import RunData, layer_name
 
-CURVE_TOLERANCE_MM = 1e-5
-"""Chord error of the polylines as which curves are measured."""
+CURVE_TOLERANCE_MM = 1e-5  # Chord error of the polylines as which curves are measured
 
 WHAT = (
     "A contour is a chain of short straight segments, chords of the part's surface. Between its corners it is replaced by a smooth curve "
@@ -228,9 +227,8 @@ def _error_charts(run: RunData) -> list[Markup]:
 
 CONTOUR, CURVE, CORNER, JOINT = "#d55e00", "#0072b2", "#000000", "#cc79a7"
 INSET_PX = 300.0
-
+# Chord error of the polylines on which the worst place is searched; the figures of the run are exact
 SAMPLE_TOLERANCE_MM = 1e-3
-"""Chord error of the polylines on which the worst place is searched; the figures of the run are exact."""
 
 LEGEND = (
     ("contour (input)", CONTOUR, "6 4"),

@@ -89,11 +89,11 @@ def _vector(direction: list[float]) -> str:
 
 # -- slicers ---------------------------------------------------------------------------------------
 
+# What happens to a vertex or face in the plane of a layer, by the rule that a method declares
 PLANES = {
     "half-open": "belongs to the layer above the plane, exactly",
     "undefined": "left to rounding; such layers are not compared",
 }
-"""What happens to a vertex or face in the plane of a layer, by the rule that a method declares."""
 
 
 def slicers(run: RunData) -> Markup:

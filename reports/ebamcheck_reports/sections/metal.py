@@ -18,16 +18,7 @@ from ebamcheck.showing.markup import element as plain
 from ebamcheck.showing.markup import inline, svg_file, text
 from ebamcheck.showing.pictures import region_path
 from ebamcheck_reports.charts import Series, line_chart
-from ebamcheck_reports.markup import (
-    Markup,
-    facts,
-    figure,
-    figure_percent,
-    paragraph,
-    picture,
-    section,
-    table,
-)
+from ebamcheck_reports.markup import Markup, facts, figure, figure_percent, paragraph, picture, section, table
 from ebamcheck_reports.run_data import RunData
 
 QUESTION = (
@@ -35,8 +26,7 @@ QUESTION = (
     "speed and feed give, whatever a comment says. Good is as much metal as the part has, where the part is, and flat."
 )
 
-CHECKS = (*names_of("deposit"), "mass balance")
-"""Checks of the program that are about its metal."""
+CHECKS = (*names_of("deposit"), "mass balance")  # Checks of the program that are about its metal
 
 
 def render(run: RunData) -> Markup:
@@ -129,29 +119,23 @@ def _charts(solid: pd.DataFrame) -> list[Markup]:
 
 # -- picture of a layer ----------------------------------------------------------------------------
 
+# Width of the picture, its margin, and the room for the title of a field and for its colour scale
 WIDTH_PX, MARGIN_PX, TITLE_PX, SCALE_PX, BAR_PX = 880, 16, 28, 40, 240
-"""Width of the picture, its margin, and the room for the title of a field and for its colour scale."""
-
-RING_PX = 9
-"""Radius of the ring around a place that is named."""
-
+RING_PX = 9  # Radius of the ring around a place that is named
+# Too low, right, too high: ends and middle of ColorBrewer's RdBu, which colour-blind readers tell apart
 BLUE, WHITE, RED = (33, 102, 172), (247, 247, 247), (178, 24, 43)
-"""Too low, right, too high: ends and middle of ColorBrewer's RdBu, which colour-blind readers tell apart."""
 
 COLOURS: NDArray[np.uint8] = np.column_stack(
     [np.interp(np.arange(256), [0, 127.5, 255], parts) for parts in zip(BLUE, WHITE, RED, strict=True)]
 ).astype(np.uint8)
+# (256, 3) colours of the cells; the first is the ground, for cells beside the section without metal
 COLOURS[0] = 255
-"""(256, 3) colours of the cells; the first is the ground, for cells beside the section without metal."""
-
+# Share of a cell in the section, and height of metal over the layer height, below which the cell is not drawn
 BARE = 0.01
-"""Share of a cell in the section, and height of metal over the layer height, below which the cell is not drawn."""
 
-Place = tuple[float, float, str]
-"""X and Y of a place, mm, and its name."""
+Place = tuple[float, float, str]  # X and Y of a place, mm, and its name
 
-Placing = Callable[[Floats], Floats]
-"""Places (n, 2) on the picture of points in mm."""
+Placing = Callable[[Floats], Floats]  # Places (n, 2) on the picture of points in mm
 
 
 def draw(

@@ -33,8 +33,8 @@ from ebamcheck_reports.markup import (
 )
 from ebamcheck_reports.run_data import BEAD_WIDTH_MM, RunData, layer_name
 
+# Temperature of the chamber, solidus and boiling point if the settings name none
 AMBIENT_K, SOLIDUS_K, BOILING_K = 293.15, 1877.0, 3533.0
-"""Temperature of the chamber, solidus and boiling point if the settings name none."""
 
 WHAT = (
     "Each section is divided into islands (hexagons, or whole walls where it is thin), which are filled with parallel beads one after the "
@@ -216,9 +216,8 @@ def _measures(plan: ScanPlan, metrics: pd.DataFrame) -> list[Markup]:
 
 # -- picture of a layer ----------------------------------------------------------------------------
 
+# Most islands that are numbered, and most between which the way is drawn: more would cover the picture
 MOST_NUMBERS, MOST_ARROWS = 150, 600
-"""Most islands that are numbered, and most between which the way is drawn: more would cover the picture."""
-
 BEAD, LINE, WAY, THIN, SECTION = "#0072b2", "#555555", "#d81b60", "#d55e00", "#000000"
 LEGEND = (
     ("first island", ramp(0.0), ""),

@@ -33,11 +33,8 @@ from ebamcheck_reports.markup import (
 )
 from ebamcheck_reports.run_data import RunData
 
-MOST_FINDINGS = 6
-"""More would not leave the summary on one page."""
-
-EVENTS = "events.parquet"
-"""Every motion of the program with its time and power, as read back."""
+MOST_FINDINGS = 6  # More would not leave the summary on one page
+EVENTS = "events.parquet"  # Every motion of the program with its time and power, as read back
 
 WHAT = (
     "The whole run on one page; what stands behind each line follows below. Good is every gate passed and nothing left to do but "

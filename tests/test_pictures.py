@@ -1,18 +1,25 @@
-"""Pictures of layers: sound XML, everything drawn where it lies, and small files."""
+"""Pictures of layers and of their metal: sound XML, everything drawn where it lies, and small files."""
 
 from __future__ import annotations
 
+import base64
+import io
 import re
 import xml.etree.ElementTree as ET
 
 import numpy as np
 import pytest
 import shapely
+from PIL import Image
 
+from ebamcheck.checks.metal import LayerField
 from ebamcheck.errors import SettingsError
 from ebamcheck.layers.stack import from_rings
-from ebamcheck.layers.svg import REDUCTION_PX, layer_svg, overlay_svg, sheet_svg
+from ebamcheck.layers.svg import layer_svg, overlay_svg, sheet_svg
+from ebamcheck.metal import target_of
 from ebamcheck.showing.colours import COLOURS
+from ebamcheck_reports.sections.metal import BLUE, RED, draw
+from ebamcheck_reports.sections.metal import COLOURS as OF_HEIGHT
 
 SQUARE = np.array([(0, 0), (40, 0), (40, 20), (0, 20)], float)
 HOLE = np.array([(10, 5), (10, 10), (15, 10), (15, 5)], float)
@@ -81,7 +88,7 @@ def test_the_drawing_is_reduced_and_stays_within_its_tolerance(count):
     scale = 800 / np.ptp(ring[:, 0])
     on_paper = np.column_stack([16 + (ring[:, 0] - ring[:, 0].min()) * scale, 28 + (ring[:, 1].max() - ring[:, 1]) * scale])  # fmt: skip
     distance = shapely.distance(shapely.LinearRing(drawn), shapely.points(on_paper[:: max(1, count // 500)]))
-    assert distance.max() <= REDUCTION_PX + 0.01
+    assert distance.max() <= 0.21  # px: well below what a screen shows
 
 
 def test_an_overlay_has_a_group_a_colour_and_a_name_for_each_slicer():
@@ -104,10 +111,11 @@ def test_a_box_zooms():
 def test_empty_layers_and_flat_ones_are_drawn():
     parsed(layer_svg(layers(), 1))
     parsed(overlay_svg({"a": layers(), "b": layers()}, 1))
-    for end in ((10, 0), (0, 1e-12)):
-        text = layer_svg(from_rings([0.0], [[]], [[[(0, 0), end]]]), 0)
-        assert "nan" not in text
-        parsed(text)
+    flat = from_rings([0.0], [[]], [[[(0, 0), (10, 0)]]])
+    point_like = from_rings([0.0], [[]], [[[(5, 5), (5, 5 + 1e-12)]]])
+    for stack in (flat, point_like):
+        assert "nan" not in layer_svg(stack, 0)
+        parsed(layer_svg(stack, 0))
 
 
 def test_a_sheet_shows_layers_from_the_first_to_the_last():
@@ -130,14 +138,46 @@ def test_control_characters_and_markup_in_a_title_do_no_harm():
 
 
 def test_what_makes_no_sense_is_refused():
-    wrong = {
-        "no layer 2": lambda: layer_svg(layers(), 2),
-        "no layer -3": lambda: overlay_svg({"a": layers()}, -3),
-        "at least one": lambda: overlay_svg({}, 0),
-        "pixels wide": lambda: layer_svg(layers(), 0, width_px=10),
-        "no extent": lambda: layer_svg(layers(), 0, box=(0, 0, 0, 1)),
-        "empty": lambda: sheet_svg(from_rings([], [])),
-    }
-    for words, drawing in wrong.items():
-        with pytest.raises(SettingsError, match=words):
-            drawing()
+    with pytest.raises(SettingsError, match="no layer 2"):
+        layer_svg(layers(), 2)
+    with pytest.raises(SettingsError, match="no layer -3"):
+        overlay_svg({"a": layers()}, -3)
+    with pytest.raises(SettingsError, match="at least one"):
+        overlay_svg({}, 0)
+    with pytest.raises(SettingsError, match="pixels wide"):
+        layer_svg(layers(), 0, width_px=10)
+    with pytest.raises(SettingsError, match="no extent"):
+        layer_svg(layers(), 0, box=(0, 0, 0, 1))
+    with pytest.raises(SettingsError, match="empty"):
+        sheet_svg(from_rings([], []))
+
+
+WHITE = (255, 255, 255)
+
+
+def images(picture: str) -> list[np.ndarray]:
+    """Pixels (rows, columns, 3) of the images of a picture, read by another reader."""
+    ET.fromstring(picture)
+    fields = re.sub(r'<g class="scale">.*?</g>', "", picture)
+    found = re.findall(r"base64,([^\"]+)", fields)
+    return [np.asarray(Image.open(io.BytesIO(base64.b64decode(data))).convert("RGB")) for data in found]
+
+
+def test_each_cell_has_the_colour_of_its_height():
+    section = shapely.box(0.0, 0.0, 4.0, 2.0)
+    target = target_of(section, 1.0, 1.0)
+    laid, over = np.zeros((4, 6)), np.zeros((4, 6))
+    laid[1, 1:5] = [0.0, 1.5, 3.0, 9.0]  # the lowest row of the section, layer 1.5 mm high
+    laid[3, 0] = 3.0  # metal beside the part is seen
+    over[2, 1:5] = [-2.0, 0.0, 2.0, 5.0]
+    metal, surface = images(draw(LayerField(target, laid, over), section, 1.5, 2.0, "a < b"))
+    assert metal.shape == surface.shape == (4, 6, 3)
+    lowest = [tuple(int(c) for c in pixel) for pixel in metal[2, 1:5]]
+    assert lowest[0] == tuple(OF_HEIGHT[1].tolist())
+    assert lowest[1] == tuple(OF_HEIGHT[128].tolist())
+    assert lowest[2] == lowest[3] == RED
+    assert tuple(metal[0, 0].tolist()) == RED
+    assert tuple(metal[3, 5].tolist()) == WHITE
+    assert tuple(surface[1, 1].tolist()) == tuple(OF_HEIGHT[1].tolist())
+    assert tuple(surface[1, 3].tolist()) == tuple(surface[1, 4].tolist()) == RED
+    assert np.abs(OF_HEIGHT[1].astype(int) - BLUE).max() <= 2

@@ -1,0 +1,164 @@
+"""The viewer: what it packs comes back, its figures are those of the run, and a browser shows them."""
+
+from __future__ import annotations
+
+import base64
+import html
+import re
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from browser import shown_page
+from command_line import ebamcheck
+from finished_runs import certified_plate
+
+from ebamcheck.record.run_folder import RunFolder
+from ebamcheck_reports.run_data import RunData
+from ebamcheck_viewer.columns import packed, packed_text
+from ebamcheck_viewer.contents import Contents, of_run
+from ebamcheck_viewer.page import document
+
+
+@pytest.fixture(scope="module")
+def plate(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return certified_plate(tmp_path_factory)[0]
+
+
+@pytest.fixture(scope="module")
+def contents(plate: Path) -> Contents:
+    return of_run(RunFolder(plate))
+
+
+def inflated(text: str) -> bytes:
+    return zlib.decompress(base64.b64decode(text), -15)
+
+
+def unpacked(text: str) -> dict[str, np.ndarray]:
+    """The columns of a blob, read as the page reads them."""
+    data, at, found = inflated(text), 0, {}
+
+    def number() -> int:
+        nonlocal at
+        value = shift = 0
+        while True:
+            byte = data[at]
+            at += 1
+            value |= (byte & 127) << shift
+            shift += 7
+            if byte < 128:
+                return (value >> 1) ^ -(value & 1)
+
+    while at < len(data):
+        size = data[at]
+        name = data[at + 1 : at + 1 + size].decode()
+        at += 1 + size
+        found[name] = np.cumsum([number() for _ in range(number())])
+    return found
+
+
+def test_columns_come_back() -> None:
+    random = np.random.default_rng(1)
+    columns = {
+        "a": random.integers(-(2**50), 2**50, 400),
+        "none": np.zeros(0, np.int64),
+        "one": np.array([-1]),
+        "up": np.arange(300) * 127,
+    }
+    found = unpacked(packed(columns))
+    assert list(found) == list(columns)
+    assert all(np.array_equal(found[name], column) for name, column in columns.items())
+
+
+def test_texts_come_back_but_for_numbers_in_steps_of_ten() -> None:
+    assert (
+        inflated(packed_text(b"%_N\nN10 G0\nN20 X1\nN25 X2\nN35 X3\n")) == b"%_N\n\1G0\n\1X1\nN25 X2\n\1X3\n"
+    )
+
+
+def test_motions_take_the_time_of_the_program(plate: Path, contents: Contents) -> None:
+    table = RunData(RunFolder(plate)).table("program.csv")
+    for k, row in enumerate(table.itertuples()):
+        columns = unpacked(contents.blobs[f"L{k + 1}"])
+        assert columns["m.ms"].sum() / 1000 == pytest.approx(
+            row.deposit_s + row.travel_s, abs=1e-3 * row.motions
+        )
+        assert len(columns["m.kind"]) == row.motions
+
+
+def test_the_worst_layers_are_those_of_the_gates(plate: Path, contents: Contents) -> None:
+    record = RunFolder(plate).manifest()
+    strips = {strip["gate"]: strip for strip in contents.index["strips"]}
+    assert {"agreement", "coverage", "deposit"} <= set(strips)
+    depths = [pair["max_depth_mm"] for pair in record["comparison"]["pairs"]]
+    assert max(f for f in strips["agreement"]["figure"] if f is not None) == pytest.approx(
+        max(depths), rel=1e-5, abs=1e-12
+    )
+    covered = next(gate for gate in record["gates"] if gate["name"] == "coverage")
+    assert min(strips["coverage"]["figure"]) == pytest.approx(covered["figure"], rel=1e-5)
+    assert len(contents.index["notes"]) == sum(
+        map(len, (record["gates"], record["findings"], record["program"]["checks"]))
+    )
+
+
+def test_contours_are_the_sections_to_a_step(plate: Path, contents: Contents) -> None:
+    stack = RunFolder(plate).read_layers("planecut").block(0, 1)
+    columns = unpacked(contents.blobs["L1"])
+    x, y = (columns[f"c.planecut.{axis}"] * contents.index["step_mm"] for axis in "xy")
+    assert [x.min(), y.min(), x.max(), y.max()] == pytest.approx(
+        [*stack.points.min(axis=0), *stack.points.max(axis=0)], abs=1e-3
+    )
+    assert columns["c.planecut.closed"].tolist() == stack.closed.tolist()
+
+
+def test_beads_of_islands_lie_in_them(contents: Contents) -> None:
+    columns = unpacked(contents.blobs["L1"])
+    filled = columns["m.island"][columns["m.island"] >= 0]
+    assert set(filled) == set(columns["i.number"])
+    assert (columns["m.ring"] >= 0).any()
+
+
+def test_hostile_names_are_text(contents: Contents) -> None:
+    name = "</script><script>alert(1)</script><img src=x onerror=alert(2)>"
+    page = document(Contents({**contents.index, "name": name}, contents.blobs))
+    assert name not in page
+    assert page.count("<script>") == 1
+    assert html.escape(name) in page
+    assert "http://" not in page.replace("http://www.w3.org/2000/svg", "")
+
+
+def test_the_command_writes_a_page(plate: Path, tmp_path: Path) -> None:
+    done = ebamcheck("view", str(plate), "-o", "plate.html", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "plate.html").read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
+    layers = [str(plate / "layers" / f"{name}.parquet") for name in ("planecut", "manifold")]
+    done = ebamcheck("view", *layers, str(plate / "program" / "MAIN.MPF"), "-o", "files.html", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert '"slicers":["planecut","manifold"]' in (tmp_path / "files.html").read_text(encoding="utf-8")
+    for wrong, what in (
+        (("view", "."), "program"),
+        (("view", str(plate), "-o", "a.txt"), "FILE.html"),
+        (("view", str(plate), "-o", str(plate / "v.html")), "lies in the run"),
+    ):
+        refused = ebamcheck(*wrong, cwd=tmp_path)
+        assert refused.returncode == 2
+        assert what in refused.stderr
+
+
+def test_a_browser_shows_the_layer_and_block_of_an_address(
+    plate: Path, contents: Contents, tmp_path: Path
+) -> None:
+    page = tmp_path / "plate.html"
+    page.write_text(document(contents), encoding="utf-8")
+    file = contents.index["files"][1]
+    text = (RunFolder(plate).program_folder / file).read_text(encoding="ascii").split("\n")
+    line = next(n for n, block in enumerate(text, 1) if " G1 " in block or " POLY " in block)
+    shown = shown_page(page, tmp_path, f"#layer=1&line={file}:{line}")
+    assert 'data-ready="1"' in shown
+    said = re.search(r'id="said"[^>]*>([^<]*)', shown)
+    assert said
+    assert said[1].startswith(f"layer 2 of {contents.index['layers']}, Z ")
+    now = re.search(r'<li class="now"><button[^>]*>([^<]*)', shown)
+    assert now
+    assert html.unescape(now[1]) == text[line - 1]
