@@ -53,21 +53,15 @@ class Remedy(NamedTuple):
 
     def __str__(self) -> str:
         """Say the settings as one writes them in a file."""
-        return "; ".join(
-            f"{table}.{key} = {v}" for table, keys in self.changes.items() for key, v in keys.items()
-        )
+        return "; ".join(f"{table}.{key} = {v}" for table, keys in self.changes.items() for key, v in keys.items())
 
 
 ALLOWANCE = {"process": {"machining_allowance_mm": 3.0}}
 """Half a bead of metal on every side, to be machined off: no wall is then narrower than a bead."""
 
 REMEDIES = {
-    "bracket": Remedy(
-        ALLOWANCE, "the brace between its legs is 0.8 mm thick, and no bead is narrower than 3.2 mm"
-    ),
-    "thin-walls": Remedy(
-        ALLOWANCE, "its rungs are walls of 0.01 to 1 mm, and no bead is narrower than 3.2 mm"
-    ),
+    "bracket": Remedy(ALLOWANCE, "the brace between its legs is 0.8 mm thick, and no bead is narrower than 3.2 mm"),
+    "thin-walls": Remedy(ALLOWANCE, "its rungs are walls of 0.01 to 1 mm, and no bead is narrower than 3.2 mm"),
     "impeller": Remedy(ALLOWANCE, "the tips of its blades are thinner than 3.2 mm, and no bead is narrower"),
     "two-spheres": Remedy(
         {"part": {"direction": [-0.370623, -0.1076, 0.92253]}},
@@ -173,9 +167,7 @@ def rendered(table: pd.DataFrame) -> str:
     ]
     shut = table[table["verdict"] != "VALIDATED"]
     causes = [f"- {part}: {cause}" for part, cause in zip(shut["part"], shut["cause"], strict=True)]
-    remedies = [
-        f"- {part}: `{REMEDIES[part]}`: {REMEDIES[part].why}." for part in shut["part"] if part in REMEDIES
-    ]
+    remedies = [f"- {part}: `{REMEDIES[part]}`: {REMEDIES[part].why}." for part in shut["part"] if part in REMEDIES]
     return TEXT.format(
         backends=" and ".join(BACKENDS),
         cpu=machine()["cpu"],

@@ -77,8 +77,7 @@ def ball_of_waves(rng: Rng) -> Form:
     """Ellipsoid with a few gentle waves: any direction has one point of it."""
     axes = rng.uniform(12.0, 35.0, 3)
     waves = [
-        (rng.normal(size=3) * rng.uniform(0.5, 3.0), rng.uniform(0.0, 0.06), rng.uniform(0, 6.3))
-        for _ in range(3)
+        (rng.normal(size=3) * rng.uniform(0.5, 3.0), rng.uniform(0.0, 0.06), rng.uniform(0, 6.3)) for _ in range(3)
     ]
 
     def surface(u: Floats) -> Floats:
@@ -136,9 +135,7 @@ def _over_a_cube(surface: Callable[[Floats], Floats], n: int) -> Triangles:
     points: list[Floats] = []
     faces: list[NDArray[np.int64]] = []
     a = (np.arange(n)[:, None] * (n + 1) + np.arange(n)).reshape(-1)
-    square = np.concatenate(
-        [np.column_stack([a, a + n + 1, a + n + 2]), np.column_stack([a, a + n + 2, a + 1])]
-    )
+    square = np.concatenate([np.column_stack([a, a + n + 1, a + n + 2]), np.column_stack([a, a + n + 2, a + 1])])
     for axis in range(3):
         for sign in (-1.0, 1.0):
             side = np.empty((u.size, 3))
@@ -436,9 +433,7 @@ def _regular(form: Form, chord_mm: float, rng: Rng) -> Triangles:
 
 
 def _slivers(form: Form, chord_mm: float, rng: Rng) -> Triangles:
-    return split_edges(
-        form.solid(chord_mm), 120, float(10.0 ** rng.uniform(-7.0, -4.0)), int(rng.integers(1000))
-    )
+    return split_edges(form.solid(chord_mm), 120, float(10.0 ** rng.uniform(-7.0, -4.0)), int(rng.integers(1000)))
 
 
 def _irregular(form: Form, chord_mm: float, rng: Rng) -> Triangles:

@@ -76,9 +76,7 @@ class CurvePart:
 def heights_of(part: Part, count: int) -> Floats:
     """Evenly spread heights of a part's layers, off its ends and off the places that a grid prefers."""
     low, high = part.bounds[:, 2]
-    share = END_SHARE + (1.0 - 2.0 * END_SHARE) * (np.arange(count) + 0.5 + 0.1 * math.sqrt(2.0)) / (
-        count + 0.3
-    )
+    share = END_SHARE + (1.0 - 2.0 * END_SHARE) * (np.arange(count) + 0.5 + 0.1 * math.sqrt(2.0)) / (count + 0.3)
     return np.asarray(low + (high - low) * share, dtype=np.float64)
 
 
@@ -166,9 +164,7 @@ def _decimated() -> Iterator[CurvePart]:
                 return split_edges(solid(CAD_MM), 120, 1e-5, 3)
 
             mesh = partial(_made, split, seed, "float64", "slivers")
-            yield CurvePart(
-                f"{name} of slivers, {_where(seed)}", "decimated", mesh, partial(_cut, solid, seed)
-            )
+            yield CurvePart(f"{name} of slivers, {_where(seed)}", "decimated", mesh, partial(_cut, solid, seed))
 
 
 def _noise() -> Iterator[CurvePart]:
@@ -183,9 +179,7 @@ def _noise() -> Iterator[CurvePart]:
             ("torus", 9, _scattered_torus, partial(_cut, TORUS_RING, 0)),
         ):
 
-            def shaken(
-                mesh: Callable[[], Triangles] = mesh, noise_mm: float = noise_mm, seed: int = seed
-            ) -> Triangles:
+            def shaken(mesh: Callable[[], Triangles] = mesh, noise_mm: float = noise_mm, seed: int = seed) -> Triangles:
                 return noisy(mesh(), noise_mm, seed)
 
             made = partial(_made, shaken, 0, "float64", name.split()[0])
@@ -235,9 +229,7 @@ def _ellipsoid_sections(heights: Floats, rotation: Floats) -> Layers:
 
 def _torus(u: Floats, v: Floats) -> Floats:
     r = RING_MM + TUBE_MM * np.cos(2.0 * np.pi * v)
-    return np.stack(
-        [r * np.cos(2.0 * np.pi * u), r * np.sin(2.0 * np.pi * u), TUBE_MM * np.sin(2.0 * np.pi * v)]
-    )
+    return np.stack([r * np.cos(2.0 * np.pi * u), r * np.sin(2.0 * np.pi * u), TUBE_MM * np.sin(2.0 * np.pi * v)])
 
 
 TORUS_RING = lathe([Bow(RING_MM, 0.0, TUBE_MM, -180.0, 180.0)], closed=True)

@@ -111,9 +111,7 @@ def _triangles(body: manifold3d.Manifold) -> Triangles:
     )
 
 
-def irregular_convex(
-    surface: Callable[[Floats], Floats], points: int, seed: int, star: bool = False
-) -> Triangles:
+def irregular_convex(surface: Callable[[Floats], Floats], points: int, seed: int, star: bool = False) -> Triangles:
     """Hull of random points of a convex surface, which maps unit vectors (n, 3) to points of it; of a `star` that of the vectors."""
     directions = np.random.default_rng(seed).normal(size=(points, 3))
     directions /= np.linalg.norm(directions, axis=1)[:, None]

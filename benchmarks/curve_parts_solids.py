@@ -82,9 +82,7 @@ def _normal(points: Floats) -> Floats:
 
 def _faces(loops: Sequence[Sequence[int]]) -> dict[tuple[int, int], int]:
     """Face of each edge in the face's own direction."""
-    return {
-        (a, b): f for f, loop in enumerate(loops) for a, b in zip(loop, (*loop[1:], loop[0]), strict=True)
-    }
+    return {(a, b): f for f, loop in enumerate(loops) for a, b in zip(loop, (*loop[1:], loop[0]), strict=True)}
 
 
 def _edges(loops: Sequence[Sequence[int]]) -> dict[tuple[int, int], tuple[int, int]]:
@@ -254,9 +252,7 @@ class Bow:
         """Its points, both ends among them."""
         start, end = np.deg2rad(self.start_deg), np.deg2rad(self.end_deg)
         angle = np.linspace(start, end, steps(self.radius_mm, end - start, chord_mm) + 1)
-        return np.column_stack(
-            [self.r + self.radius_mm * np.cos(angle), self.z + self.radius_mm * np.sin(angle)]
-        )
+        return np.column_stack([self.r + self.radius_mm * np.cos(angle), self.z + self.radius_mm * np.sin(angle)])
 
 
 Profile = Sequence[tuple[float, float] | Bow]

@@ -279,10 +279,7 @@ def as_markdown(record: dict[str, Any]) -> str:
         for row in record["parts"]
         if row["method"] in ("contour", "bounded")
     ]
-    stack = [
-        [row["method"], row["layers"], f"{row['points']:,}", f"{row['seconds']:.1f}"]
-        for row in record["stack"]
-    ]
+    stack = [[row["method"], row["layers"], f"{row['points']:,}", f"{row['seconds']:.1f}"] for row in record["stack"]]
     return "\n\n".join(
         [
             "# Curves",

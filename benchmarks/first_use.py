@@ -95,9 +95,7 @@ def _copy_checkout(to: Path) -> None:
 
 def _timed(copy: Path, command: list[str], env: dict[str, str]) -> Took:
     before_s, start = children_s(), time.perf_counter()
-    subprocess.run(
-        command, cwd=copy, env=env, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, check=True
-    )
+    subprocess.run(command, cwd=copy, env=env, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, check=True)
     wall_s = time.perf_counter() - start
     return Took(wall_s, children_s() - before_s)
 

@@ -127,9 +127,7 @@ def measure_ladder(
     return cells
 
 
-def _cell(
-    part: BenchmarkPart, method: Method, over: Mapping[tuple[str, str], int], effort: Effort
-) -> dict[str, Any]:
+def _cell(part: BenchmarkPart, method: Method, over: Mapping[tuple[str, str], int], effort: Effort) -> dict[str, Any]:
     """An empty cell; one that cannot be measured says why."""
     status, why = "done", ""
     if missing := method.missing():
@@ -204,9 +202,7 @@ def readme_text(raw: Raw) -> str:
             row += [time_text(cell), quantity(memory.median, "MB") if memory else ""]
         rows.append(row)
     machine = raw["machine"]
-    where = (
-        f"{machine['cpu']}, {machine['cores']} cores, OpenGL by {machine['renderer'] or 'nothing'}. {MEANING}"
-    )
+    where = f"{machine['cpu']}, {machine['cores']} cores, OpenGL by {machine['renderer'] or 'nothing'}. {MEANING}"
     return f"{markdown(columns, rows)}\n\n{where}\n"
 
 
@@ -265,9 +261,7 @@ def plotted(raw: Raw, series: str) -> dict[str, list[tuple[int, Spread, str]]]:
             if cell is None:
                 continue
             if (times := cell_times(cell)) is not None:
-                found.setdefault(name, []).append(
-                    (part["facets"], times, "scaled" if is_scaled(cell) else "measured")
-                )
+                found.setdefault(name, []).append((part["facets"], times, "scaled" if is_scaled(cell) else "measured"))
             elif cell["status"] == "over" and not cell["why"].startswith("not tried"):
                 found.setdefault(name, []).append((part["facets"], spread([cell["limit_s"]]), "over"))
     return found
@@ -284,9 +278,7 @@ def write_chart(raw: Raw, series: str, path: Path) -> None:
         for rank, (name, points) in enumerate(plotted(raw, series).items()):
             colour, dash = COLOURS[rank % len(COLOURS)], ("-", "--", ":")[rank // len(COLOURS) % 3]
             label = f"{name}: {MARKS[points[-1][2]][2]}{quantity(points[-1][1].median, 's')}"
-            axes.plot(
-                [f for f, _, _ in points], [s.median for _, s, _ in points], dash, color=colour, label=label
-            )
+            axes.plot([f for f, _, _ in points], [s.median for _, s, _ in points], dash, color=colour, label=label)
             for facets, times, kind in points:
                 marker, filling, _ = MARKS[kind]
                 axes.plot(facets, times.median, marker=marker, fillstyle=filling, color=colour)

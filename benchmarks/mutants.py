@@ -51,9 +51,7 @@ class Mutant:
             Where `old` doesn't stand there exactly once: the code has moved on, and the row has to follow.
         """
         if text.count(self.old) != 1:
-            raise ValueError(
-                f"{self.room}: {self.file} holds {text.count(self.old)} times {self.old!r}, not once"
-            )
+            raise ValueError(f"{self.room}: {self.file} holds {text.count(self.old)} times {self.old!r}, not once")
         return text.replace(self.old, self.new)
 
 
@@ -111,9 +109,7 @@ def failures(tree: Path, tests: Sequence[str]) -> tuple[int, int, float]:
     ]
     begin = time.perf_counter()
     try:
-        ended = subprocess.run(
-            command, cwd=tree, env=environment, capture_output=True, text=True, timeout=LONGEST_S
-        )
+        ended = subprocess.run(command, cwd=tree, env=environment, capture_output=True, text=True, timeout=LONGEST_S)
     except subprocess.TimeoutExpired:
         return 1, 1, LONGEST_S
     counts = {word: int(count) for count, word in re.findall(r"(\d+) (passed|failed|error)", ended.stdout)}
@@ -157,31 +153,21 @@ def tried(rows: Sequence[Mutant]) -> pd.DataFrame:
 def report(table: pd.DataFrame, written: int) -> str:
     """Markdown page: a line a room, then the rows that no test found."""
     rooms = (
-        table.groupby("room")
-        .agg(tried=("found", "size"), found=("found", "sum"), by=("by", "median"))
-        .reset_index()
+        table.groupby("room").agg(tried=("found", "size"), found=("found", "sum"), by=("by", "median")).reset_index()
     )
     missed = table.loc[~table["found"], ["room", "file", "change"]]
     text = f"# Wrong changes of the code, and whether tests find them\n\n{machine_text(machine())}\n\n"
     text += f"{len(table)} of {written} changes were tried; {int(table['found'].sum())} were found.\n\n"
-    text += (
-        markdown(["room", "tried", "found", "tests that found one, median"], rooms.to_numpy().tolist()) + "\n"
-    )
+    text += markdown(["room", "tried", "found", "tests that found one, median"], rooms.to_numpy().tolist()) + "\n"
     return text + (
-        "\n## Not found\n\n" + markdown(missed.columns, missed.to_numpy().tolist()) + "\n"
-        if len(missed)
-        else ""
+        "\n## Not found\n\n" + markdown(missed.columns, missed.to_numpy().tolist()) + "\n" if len(missed) else ""
     )
 
 
 def main(argv: list[str] | None = None) -> int:
     """Try the sampled rows and print the page; 0 where every wrong change is found."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.mutants", description=(__doc__ or "").splitlines()[0]
-    )
-    parser.add_argument(
-        "--room", action="append", default=[], help="rows of this room alone; may be given again"
-    )
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.mutants", description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--room", action="append", default=[], help="rows of this room alone; may be given again")
     parser.add_argument(
         "--each",
         type=int,

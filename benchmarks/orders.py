@@ -190,9 +190,7 @@ def main() -> None:
     parser.add_argument("--models", default=",".join(MODELS))
     parser.add_argument("--orders", default=",".join(ORDERS))
     parser.add_argument("--thesis", help="version of 3DThesis, which does not tell it")
-    parser.add_argument(
-        "--render", action="store_true", help="make the table again from the figures in the folder"
-    )
+    parser.add_argument("--render", action="store_true", help="make the table again from the figures in the folder")
     parser.add_argument("--builds", action="store_true", help="print the build times of whole parts instead")
     options = parser.parse_args()
     names = tuple(options.models.split(","))

@@ -27,9 +27,8 @@ import ebamcheck_models
 from ebamcheck.atomic_file import replacing
 from ebamcheck.mesh.stl import FACET, HEADER_BYTES
 from ebamcheck_models import LADDER, MODELS, write_stl
-from ebamcheck_models.ladder import LAYER_MM
 from ebamcheck_models.model import Floats, single
-from ebamcheck_models.ring_wall import Channel, RingWall, Rounding, levels
+from ebamcheck_models.ring_wall import LAYER_MM, Channel, RingWall, Rounding, levels
 from ebamcheck_reports.paper import published
 
 Series = Literal["ladder", "even"]
@@ -76,9 +75,7 @@ def benchmark_part(series: Series, size: int, layer_mm: float = LAYER_MM) -> Ben
         if series == "ladder":
             write_stl(LADDER.tessellate(published.tolerances_by_size()[size - 1]), path)
         else:
-            write_even_mesh(
-                LADDER, round((published.SIZES_MB[size - 1] * 2**20 - HEADER_BYTES) / FACET_BYTES), path
-            )
+            write_even_mesh(LADDER, round((published.SIZES_MB[size - 1] * 2**20 - HEADER_BYTES) / FACET_BYTES), path)
 
     path = _kept(f"{series}-{size:02}", make)
     return BenchmarkPart(series, size, path, facets_in(path), layer_mm)
@@ -100,9 +97,7 @@ def shuffled(part: BenchmarkPart) -> BenchmarkPart:
 
 def model_file(name: str, tolerance_mm: float) -> Path:
     """Return the file of a reference model."""
-    return _kept(
-        f"{name}-{tolerance_mm:g}", lambda path: write_stl(MODELS[name].tessellate(tolerance_mm), path)
-    )
+    return _kept(f"{name}-{tolerance_mm:g}", lambda path: write_stl(MODELS[name].tessellate(tolerance_mm), path))
 
 
 def facets_in(path: Path) -> int:
@@ -214,9 +209,7 @@ def _circumference(wall: RingWall) -> float:
 
 def _girth(channel: Channel) -> float:
     """Length around a channel, mm."""
-    return 2.0 * (
-        _quarter_mm(channel.along_mm, channel.through_mm) + _quarter_mm(channel.through_mm, channel.along_mm)
-    )
+    return 2.0 * (_quarter_mm(channel.along_mm, channel.through_mm) + _quarter_mm(channel.through_mm, channel.along_mm))
 
 
 def _quarter_mm(a_mm: float, b_mm: float) -> float:
@@ -292,9 +285,7 @@ def _bands(wall: RingWall, grid: Grid) -> Iterator[Floats]:
         """Points (rows x columns, 3) of consecutive rows on one side."""
         k = np.arange(first, stop) % (len(row) - 1)
         u = (np.arange(grid.columns) + 0.5 * (k[:, None] % 2)) / grid.columns
-        at = wall.wall_point(
-            u, z[row[first:stop]][:, None], lip[row[first:stop]][:, None], float(side[first])
-        )
+        at = wall.wall_point(u, z[row[first:stop]][:, None], lip[row[first:stop]][:, None], float(side[first]))
         return single(at.reshape(3, -1).T)
 
     rows_a_band = max(1, FACETS_A_BAND // (2 * grid.columns)) // 2 * 2 or 2

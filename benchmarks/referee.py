@@ -90,9 +90,7 @@ class Readings(NamedTuple):
 
 
 @kernel
-def heated_by_beam(
-    content: Floats, body: Body, beam: Beam, readings: Readings, times: Floats
-) -> tuple[Floats, Floats]:
+def heated_by_beam(content: Floats, body: Body, beam: Beam, readings: Readings, times: Floats) -> tuple[Floats, Floats]:
     """March in time; `content` goes from the first to the last state.
 
     Returns the temperature rise of the islands, and absorbed, to the base, radiated, evaporated (J), hottest (K).
@@ -190,9 +188,7 @@ def conduct(content: Floats, potential: Floats, solid: Bools, over: Floats) -> N
 
 
 @kernel
-def heat_along(
-    content: Floats, body: Body, beam: Beam, line: int, begin: float, end: float, balance: Floats
-) -> int:
+def heat_along(content: Floats, body: Body, beam: Beam, line: int, begin: float, end: float, balance: Floats) -> int:
     """Add what the beam brings from one time to another; returns the line that it is on."""
     lines, cell = beam.lines, body.cell
     volume = cell[0] * cell[1] * cell[2]
@@ -400,9 +396,7 @@ def refereed_entries(model: Referee, plan: ScanPlan, config: Config) -> tuple[Fl
     """Temperature rise of each island, and of a spot as wide as a bead where the beam enters it, (I,) K; NaN without lines."""
     first = plan.vectors.drop_duplicates("island")
     island = first["island"].to_numpy()
-    spots = shapely.buffer(
-        shapely.points(first[["x0", "y0"]].to_numpy(np.float64)), 0.5 * config.process.bead_width_mm
-    )
+    spots = shapely.buffer(shapely.points(first[["x0", "y0"]].to_numpy(np.float64)), 0.5 * config.process.bead_width_mm)
     starts = simulate_order(plan, config).sort_values("island")["start_s"].fillna(0.0)
     entered_s, count = starts.to_numpy(np.float64), len(plan.islands)
     read = np.concatenate([plan.islands, spots])

@@ -82,9 +82,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
         "layers": options.layers,
         "backends": options.backends,
         "slabs": slabs,
-        "machine": {
-            k: found_machine[k] for k in ("cpu", "cores", "memory_gb", "load_at_start", "started", "commit")
-        },
+        "machine": {k: found_machine[k] for k in ("cpu", "cores", "memory_gb", "load_at_start", "started", "commit")},
         "command": shlex.join(["python", "-m", "benchmarks.slabs", *_given(options)]),
     }
 
@@ -118,9 +116,7 @@ def _cells(row: Mapping[str, Any]) -> list[str]:
     stages = row.get("stages_s", {})
     verdicts = row.get("verdicts", {})
     result = (
-        f"{verdicts.get('agree', 0):,} layers agree"
-        if row["status"] == "done"
-        else f"{row['status']}: {row['why']}"
+        f"{verdicts.get('agree', 0):,} layers agree" if row["status"] == "done" else f"{row['status']}: {row['why']}"
     )
     others = sum(verdicts.values()) - verdicts.get("agree", 0)
     return [
@@ -144,9 +140,7 @@ def _key(row: Mapping[str, Any]) -> tuple[Any, ...]:
 def _room_for(stl: Path, facets: int) -> None:
     free = shutil.disk_usage(stl.parent).free
     if free < 2 * 50 * facets:
-        raise SystemExit(
-            f"{stl.parent}: {free / 1e9:.1f} GB are free, too few for {facets:,} facets: set TMPDIR"
-        )
+        raise SystemExit(f"{stl.parent}: {free / 1e9:.1f} GB are free, too few for {facets:,} facets: set TMPDIR")
 
 
 def _given(options: argparse.Namespace) -> list[str]:
@@ -161,9 +155,7 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--facets", type=int, default=1_000_000, help="facets of the part, about")
     parser.add_argument("--layers", type=int, default=LAYERS)
     parser.add_argument("--backends", default=BACKENDS, help=f"slicers, with commas; default: {BACKENDS}")
-    parser.add_argument(
-        "--slabs", type=int, help=f"default: one for {FACETS_A_SLAB:,} facets, at least {FEWEST_SLABS}"
-    )
+    parser.add_argument("--slabs", type=int, help=f"default: one for {FACETS_A_SLAB:,} facets, at least {FEWEST_SLABS}")
     parser.add_argument("--output", type=Path, default=OUTPUT, help="folder of the table")
     return parser.parse_args(arguments)
 

@@ -200,9 +200,7 @@ JOB = (
 def targets_text(raw: Raw, gpu: bool = False) -> str:
     """Table of all targets on each series, and of those of the main job; those of the stencil on a GPU by themselves."""
     series = [s for s in series_of(raw) if gpu or raw["targets"].get(s)]
-    figures = [
-        Figures(raw["cells"], raw["targets"].get(s, {}), raw["parts"], s, top_of(raw, s)) for s in series
-    ]
+    figures = [Figures(raw["cells"], raw["targets"].get(s, {}), raw["parts"], s, top_of(raw, s)) for s in series]
     columns = ["what", "target"]
     for of in figures:
         columns += [f"`{of.series}`, {of.parts[f'{of.series}-{of.top}']['facets']:,} facets", ""]

@@ -69,9 +69,7 @@ def watch(
 def user_environment(*without: str) -> dict[str, str]:
     """Environment of a user's command: without what is named, and with bytecode, without which each process compiles all it
     imports."""
-    return {
-        key: value for key, value in os.environ.items() if key not in (*without, "PYTHONDONTWRITEBYTECODE")
-    }
+    return {key: value for key, value in os.environ.items() if key not in (*without, "PYTHONDONTWRITEBYTECODE")}
 
 
 def children_s() -> float:

@@ -97,9 +97,7 @@ def open_table(path: Path) -> pq.ParquetFile:
     return pq.ParquetFile(regular_file(path), page_checksum_verification=True)
 
 
-def labels_of(
-    schema: pa.Schema, what: str, version: str, names: tuple[str, ...], where: str
-) -> dict[str, Any]:
+def labels_of(schema: pa.Schema, what: str, version: str, names: tuple[str, ...], where: str) -> dict[str, Any]:
     """Labels that :func:`labelled` wrote; ``direction`` is a tuple, ``settings`` a dictionary, any other a text."""
     metadata = schema.metadata or {}
     found = metadata.get(_key(what, "version"), b"").decode("utf-8", "replace")

@@ -15,7 +15,9 @@ from ebamcheck.atomic_file import regular_file, replacing
 from ebamcheck.errors import EbamcheckError, InputError
 
 MOST_DIGITS = 20  # digits of a whole number in a file that is read: those of 64 bits
-MOST_NESTED = 40  # lists and tables within each other in a file that is read; settings, records and certificates have ten
+MOST_NESTED = (
+    40  # lists and tables within each other in a file that is read; settings, records and certificates have ten
+)
 
 
 def sha256_of_file(path: Path) -> str:

@@ -46,9 +46,7 @@ def kernel(function: _Function) -> _Function:
     folder = cache_folder(function.__module__.partition(".")[0])
     before, _config.CACHE_DIR = _config.CACHE_DIR, str(folder or "")
     try:
-        return cast(
-            _Function, numba.njit(nogil=True, error_model="numpy", cache=folder is not None)(function)
-        )
+        return cast(_Function, numba.njit(nogil=True, error_model="numpy", cache=folder is not None)(function))
     finally:
         _config.CACHE_DIR = before
 

@@ -83,9 +83,7 @@ class Place:
     z_mm: float = math.nan  # Z of the layer's top in the program
 
     @classmethod
-    def of_line(
-        cls, where: str, layer: int | None = None, x_mm: float = math.nan, y_mm: float = math.nan
-    ) -> Self:
+    def of_line(cls, where: str, layer: int | None = None, x_mm: float = math.nan, y_mm: float = math.nan) -> Self:
         """Place whose line is given as ``FILE:line``."""
         file, _, line = where.rpartition(":")
         file, number = (file, int(line)) if line.isdecimal() else (where, 0)
@@ -131,9 +129,7 @@ class Check:
     place: str = ""
     remedy: str = ""  # of a check that fails: what to do, without a full stop
     severity: Severity = "fault"  # how much it matters that the check fails
-    stops: tuple[
-        str, ...
-    ] = ()  # of a check of the preflight that is a fault: jobs that it ends before they begin
+    stops: tuple[str, ...] = ()  # of a check of the preflight that is a fault: jobs that it ends before they begin
 
     def __post_init__(self) -> None:
         if self.severity not in SEVERITIES:
@@ -305,10 +301,7 @@ def gate_of_record(record: Mapping[str, Any]) -> Check:
 def _numbers(record: Mapping[str, Any]) -> dict[str, Any]:
     """The record with its figures; those that are no finite number are text in JSON."""
     names = ("value", "figure", "limit", "x_mm", "y_mm")
-    return {
-        name: float(value) if name in names and isinstance(value, str) else value
-        for name, value in record.items()
-    }
+    return {name: float(value) if name in names and isinstance(value, str) else value for name, value in record.items()}
 
 
 def in_words(record: Mapping[str, Any]) -> str:

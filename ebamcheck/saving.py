@@ -62,9 +62,7 @@ def save(value: Part | Layers | Curves | ScanPlan | Config, path: str | Path) ->
             write(value, path)
             return path
     known = ", ".join(kind.__name__ for kind in _writers())
-    raise SettingsError(
-        f"{path}: a value of type {type(value).__name__} cannot be saved: give one of {known}"
-    )
+    raise SettingsError(f"{path}: a value of type {type(value).__name__} cannot be saved: give one of {known}")
 
 
 def _writers() -> Mapping[type, Mapping[str, Writer]]:

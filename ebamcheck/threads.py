@@ -27,9 +27,7 @@ def thread_count() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def run_blocks(
-    work: Callable[[int, int], _Result], count: int, smallest: int = 1, a_thread: int = 4
-) -> list[_Result]:
+def run_blocks(work: Callable[[int, int], _Result], count: int, smallest: int = 1, a_thread: int = 4) -> list[_Result]:
     """Run ``work(start, stop)`` over blocks that cover ``range(count)``, `a_thread` for each thread, of `smallest` items at least;
     results in order."""
     return list(run_in_order(work, block_edges(count, smallest, a_thread)))

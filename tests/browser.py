@@ -45,7 +45,9 @@ def printed_pages(page: Path, folder: Path) -> int:
 def width_px(text: str, window_px: int, folder: Path) -> tuple[int, int]:
     """Width that a page takes in a window, and how many of its elements reach beyond it."""
     around = folder / "around.html"
-    frame = f'<iframe id="page" style="width:{window_px}px;height:800px;border:0" srcdoc="{html.escape(text)}"></iframe>'
+    frame = (
+        f'<iframe id="page" style="width:{window_px}px;height:800px;border:0" srcdoc="{html.escape(text)}"></iframe>'
+    )
     around.write_text(f"<!DOCTYPE html><html><body>{frame}{MEASURE}</body></html>", encoding="utf-8")
     shown = _run(folder, "--dump-dom", around.resolve().as_uri())
     found = re.search(r"measured (\d+) (\d+) (\d+)", shown.partition("</title>")[0])
@@ -62,9 +64,7 @@ def shown_page(page: Path, folder: Path, view: str = "") -> str:
 def _run(folder: Path, *arguments: str) -> str:
     command = [browser(), *ARGUMENTS, f"--user-data-dir={folder / 'profile'}", *arguments]
     try:
-        made = subprocess.run(
-            command, capture_output=True, encoding="utf-8", timeout=TIME_LIMIT_S, check=False
-        )
+        made = subprocess.run(command, capture_output=True, encoding="utf-8", timeout=TIME_LIMIT_S, check=False)
     except subprocess.TimeoutExpired:
         pytest.skip(f"the browser did not answer within {TIME_LIMIT_S:g} s")
     return made.stdout

@@ -6,31 +6,18 @@ The modes of a rectangle are products of cosines. A source is added to the ampli
 
 from __future__ import annotations
 
-import itertools
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ebamcheck.heat import DepthModes, HeatModel
 from ebamcheck.kernels import Floats
 
-SERIES = 1e-4
-"""Exponents under this are taken as power series, which is exact to the last digits there."""
 
-
-@dataclass(frozen=True, eq=False)
-class RectangleModes:
-    """Modes cos(p x) cos(q y) of the rectangle from (0, 0) to (width, height), normalised.
-
-    Parameters
-    ----------
-    width_mm, height_mm
-        Sides.
-    wave_x, wave_y
-        (K,) p and q, 1/mm, by rising eigenvalue p^2 + q^2.
-    """
+class RectangleModes(NamedTuple):
+    """Modes cos(p x) cos(q y) of the rectangle from (0, 0) to (width, height), normalised, by rising p^2 + q^2."""
 
     width_mm: float
     height_mm: float
@@ -39,19 +26,16 @@ class RectangleModes:
 
     @property
     def eigenvalue(self) -> Floats:
-        """Eigenvalues (K,), 1/mm^2."""
         return self.wave_x**2 + self.wave_y**2
 
     @property
     def area_mm2(self) -> float:
-        """Area of the rectangle."""
         return self.width_mm * self.height_mm
 
     @property
     def scale(self) -> Floats:
-        """Factor (K,) that normalises the modes."""
         halves = np.where(self.wave_x > 0, 2.0, 1.0) * np.where(self.wave_y > 0, 2.0, 1.0)
-        return np.asarray(np.sqrt(halves / self.area_mm2), np.float64)
+        return np.sqrt(halves / self.area_mm2)
 
     def at(self, points: ArrayLike) -> Floats:
         """Modes at points (P, 2), (P, K)."""
@@ -60,38 +44,28 @@ class RectangleModes:
         return np.asarray(self.scale * waves, np.float64)
 
     def integral(self) -> Floats:
-        """Integral of the modes over the rectangle, (K,)."""
         return np.where(self.eigenvalue == 0.0, math.sqrt(self.area_mm2), 0.0)
 
-    def line_integral(
-        self, start: ArrayLike, end: ArrayLike, duration_s: float, rate: Floats
-    ) -> NDArray[np.float64]:
+    def line_integral(self, a: Floats, b: Floats, duration_s: float, rate: Floats) -> Floats:
         """Integral of phi(x(s)) exp(-r (T - s)) over a straight line traversed in the time T, exactly.
 
         The product of two cosines along the line is two cosines of p + w s, for which it is
         Re[e^(ip) (e^(iwT) - e^(-rT)) / (r + iw)], and T cos p where r and w vanish.
-
-        Parameters
-        ----------
-        rate
-            (K, ...) r of each mode, 1/s.
         """
-        a, b = np.asarray(start, np.float64), np.asarray(end, np.float64)
         speed = (b - a) / duration_s
         total = np.zeros(rate.shape)
-        column = (slice(None), *(None,) * (rate.ndim - 1))
         for side in (1.0, -1.0):
-            phase = (self.wave_x * a[0] + side * self.wave_y * a[1])[column]
-            turn = (self.wave_x * speed[0] + side * self.wave_y * speed[1])[column]
+            phase = (self.wave_x * a[0] + side * self.wave_y * a[1])[:, None]
+            turn = (self.wave_x * speed[0] + side * self.wave_y * speed[1])[:, None]
             exponent = (rate + 1j * turn) * duration_s
             flat = np.abs(exponent) < 1e-12
             ratio = duration_s * np.where(flat, 1.0, -np.expm1(-exponent) / np.where(flat, 1.0, exponent))
             total += 0.5 * np.real(np.exp(1j * (phase + turn * duration_s)) * ratio)
-        return np.asarray(self.scale[column] * total, np.float64)
+        return self.scale[:, None] * total
 
 
 def rectangle_modes(width_mm: float, height_mm: float, largest_eigenvalue: float) -> RectangleModes:
-    """List all modes of a rectangle up to an eigenvalue, 1/mm^2."""
+    """All modes of a rectangle up to an eigenvalue, 1/mm^2."""
     most = math.sqrt(largest_eigenvalue)
     p = np.arange(int(most * width_mm / math.pi) + 1) * (math.pi / width_mm)
     q = np.arange(int(most * height_mm / math.pi) + 1) * (math.pi / height_mm)
@@ -102,32 +76,19 @@ def rectangle_modes(width_mm: float, height_mm: float, largest_eigenvalue: float
     return RectangleModes(width_mm, height_mm, wave_x[rising], wave_y[rising])
 
 
-def after_source(
-    model: HeatModel, amplitudes: Floats, shape: Floats, power_w: float, duration_s: float
-) -> Floats:
-    """Amplitudes after a source that stands still for a time.
-
-    Parameters
-    ----------
-    shape
-        (K,) mean of the modes over the source: over an island, or at a point.
-    """
+def after_source(model: HeatModel, amplitudes: Floats, shape: Floats, power_w: float, duration_s: float) -> Floats:
+    """Amplitudes after a source that stands still: `shape` (K,) is the mean of the modes over it."""
     decay = model.rate * duration_s
     gain = duration_s * held(decay) * np.multiply.outer(shape, model.in_layer)
-    return np.asarray(
-        amplitudes * np.exp(-decay) + power_w / model.medium.heat_capacity_j_mm3k * gain, np.float64
-    )
+    return amplitudes * np.exp(-decay) + power_w / model.medium.heat_capacity_j_mm3k * gain
 
 
 def after_spot(
     model: HeatModel, amplitudes: Floats, point: ArrayLike, energy_j: float, sigma_mm: float = 0.0
 ) -> Floats:
     """Amplitudes after an instantaneous Gaussian spot of a standard deviation."""
-    shape = blurred(model, sigma_mm) * model.plane.at(point)[0]
-    return np.asarray(
-        amplitudes + energy_j / model.medium.heat_capacity_j_mm3k * np.multiply.outer(shape, model.in_layer),
-        np.float64,
-    )
+    shape = np.multiply.outer(blurred(model, sigma_mm) * model.plane.at(point)[0], model.in_layer)
+    return amplitudes + energy_j / model.medium.heat_capacity_j_mm3k * shape
 
 
 def after_line(
@@ -138,29 +99,12 @@ def after_line(
     power_w: float,
     duration_s: float,
     sigma_mm: float = 0.0,
-    piece_mm: float = 1.0,
 ) -> Floats:
-    """Amplitudes after a Gaussian spot has moved along a straight line at constant speed.
-
-    On a rectangle it is exact; else the modes count as linear along pieces of the line, over each of
-    which the time is integrated exactly.
-    """
+    """Amplitudes after a Gaussian spot has moved along a straight line of a rectangle at constant speed, exactly."""
     a, b = np.asarray(start, np.float64), np.asarray(end, np.float64)
-    rate = model.rate
-    if isinstance(model.plane, RectangleModes):
-        steady = model.plane.line_integral(a, b, duration_s, rate)
-    else:
-        pieces = max(1, int(np.ceil(np.hypot(*(b - a)) / piece_mm)))
-        nodes = model.plane.at(a + np.linspace(0.0, 1.0, pieces + 1)[:, None] * (b - a))
-        steady = np.zeros_like(rate)
-        time = duration_s / pieces
-        decay = rate * time
-        level, ramp, fall = time * held(decay), time * ramped(decay), np.exp(-decay)
-        for first, last in itertools.pairwise(nodes):
-            steady = steady * fall + first[:, None] * level + (last - first)[:, None] * ramp
-    spread = blurred(model, sigma_mm)[:, None] * model.in_layer
-    gain = power_w / model.medium.heat_capacity_j_mm3k * steady * spread
-    return np.asarray(amplitudes * np.exp(-rate * duration_s) + gain, np.float64)
+    steady = model.plane.line_integral(a, b, duration_s, model.rate)
+    gain = power_w / model.medium.heat_capacity_j_mm3k * steady * blurred(model, sigma_mm)[:, None]
+    return amplitudes * np.exp(-model.rate * duration_s) + gain * model.in_layer
 
 
 def base_flow_w(model: HeatModel, amplitudes: Floats) -> float:
@@ -181,17 +125,10 @@ def radiated_w(model: HeatModel, amplitudes: Floats) -> float:
 
 def blurred(model: HeatModel, sigma_mm: float) -> Floats:
     """Weights (K,) of a Gaussian spot: a point that has spread for sigma^2 / (2 alpha), modes fall by exp(-lambda sigma^2/2)."""
-    return np.asarray(np.exp(-0.5 * model.plane.eigenvalue * sigma_mm**2), np.float64)
+    return np.exp(-0.5 * model.plane.eigenvalue * sigma_mm**2)
 
 
 def held(decay: Floats) -> Floats:
     """(1 - e^-x) / x: what is left at the end of a unit time of what came in steadily."""
     safe = np.where(decay == 0.0, 1.0, decay)
-    return np.asarray(np.where(decay == 0.0, 1.0, -np.expm1(-safe) / safe), np.float64)
-
-
-def ramped(decay: Floats) -> Floats:
-    """(1 - held(x)) / x: the same of what came in rising from 0 to 1."""
-    safe = np.where(decay < SERIES, 1.0, decay)
-    series = 0.5 - decay / 6.0 + decay**2 / 24.0
-    return np.asarray(np.where(decay < SERIES, series, (1.0 - held(safe)) / safe), np.float64)
+    return np.where(decay == 0.0, 1.0, -np.expm1(-safe) / safe)

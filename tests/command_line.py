@@ -95,9 +95,7 @@ def started(
         capture_output=True,
         text=True,
         check=False,
-        preexec_fn=(lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit_bytes,) * 2))
-        if limit_bytes
-        else None,
+        preexec_fn=(lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit_bytes,) * 2)) if limit_bytes else None,
     )
 
 

@@ -24,8 +24,8 @@ LONGEST_FIRST = (
     "test_honest_programs.py", "test_faults.py", "test_live_opcua_access.py", "test_kernels.py", "test_models.py",
     "test_surface_curves.py", "test_machine_state.py", "test_cli.py", "test_enemies.py", "test_isolation.py",
     "test_pipeline.py", "test_regression.py", "test_scan_command.py", "test_interpass.py",
-    "test_partitions.py", "test_preheated_layers.py", "test_exact_surfaces.py",
-    "test_oracle.py", "test_walls.py", "test_controls.py", "test_scan_stacks.py",
+    "test_hatch.py", "test_lattice.py", "test_preheated_layers.py", "test_surface.py",
+    "test_oracle.py", "test_controls.py", "test_scan.py",
     "test_whole_part.py", "test_curve_evidence.py", "test_program_faults.py",
     "test_chance_curves.py", "test_text_attacks.py", "test_entry_program.py", "test_signing.py", "test_live.py",
 )  # fmt: skip

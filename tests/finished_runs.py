@@ -17,9 +17,7 @@ from ebamcheck.errors import ExitCode
 from ebamcheck.pipeline import RunResult, run_job
 from ebamcheck.settings.config import Config
 
-FOUR_MM = Config().changed(
-    layers={"layer_height_mm": 4.0}, slicing={"backends": tuple(FAST.split(","))}, process=WIDE
-)
+FOUR_MM = Config().changed(layers={"layer_height_mm": 4.0}, slicing={"backends": tuple(FAST.split(","))}, process=WIDE)
 """Settings of the plate with a certificate."""
 
 THICK_FAST = FOUR_MM.changed(layers={"layer_height_mm": 6.0})

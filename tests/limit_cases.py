@@ -69,9 +69,7 @@ class Subject:
         end[rows, axis] += by_mm
         after = rows + 1 < len(end)
         start[rows[after] + 1, axis] += np.broadcast_to(by_mm, rows.shape)[after]
-        return replace(
-            self, nc=replace(self.nc, start=start, end=end, coefficients=_straight(self.nc, start, end))
-        )
+        return replace(self, nc=replace(self.nc, start=start, end=end, coefficients=_straight(self.nc, start, end)))
 
     def with_values(self, name: str, change: Callable[[np.ndarray], np.ndarray]) -> Subject:
         """Other numbers of all events of a name, but of those that are 0."""
@@ -189,9 +187,7 @@ def program_of(layers, sections=None, rings=None, **settings) -> Subject:
 
     `rings` are closed contours by layer, and `sections` one polygon for all layers or one each.
     """
-    config = Config().changed(
-        **{"layers": {"layer_height_mm": 1.5}, "process": {"interpass": "off"}} | settings
-    )
+    config = Config().changed(**{"layers": {"layer_height_mm": 1.5}, "process": {"interpass": "off"}} | settings)
     heights = (np.arange(len(layers)) + 0.5) * 1.5
     rings = rings or [[] for _ in layers]
     curves = make_curves(

@@ -114,9 +114,7 @@ def set_least(f: float) -> Subject:
 def preheated() -> Subject:
     """A prism whose plate is preheated."""
     given = {"when": "plate", "defocus": 20.0, "current_ma": 10.0, "target_k": 330.0, "spot_mm": 20.0}
-    config = Config().changed(
-        preheat=given, machine={"set_focus": ["H5={defocus} ; focus"]}, scan={"order": "raster"}
-    )
+    config = Config().changed(preheat=given, machine={"set_focus": ["H5={defocus} ; focus"]}, scan={"order": "raster"})
     config = config.changed(process={"interpass": "off"})
     prism = Made(_folder(), shapely.box(0, 0, 40, 40), config, layers=2)
     return Subject(prism.read(), config, {"layers": prism.layers})
@@ -127,9 +125,7 @@ def scanning(**values) -> Subject:
     scans = Subject(preheated().nc.preheating, preheated().config)
     row = np.flatnonzero(scans.nc.beam)[2]
     return with_scans(
-        scans.with_columns(
-            row, **{name: change(getattr(scans.nc, name)[row]) for name, change in values.items()}
-        )
+        scans.with_columns(row, **{name: change(getattr(scans.nc, name)[row]) for name, change in values.items()})
     )
 
 
@@ -139,9 +135,7 @@ def with_scans(scans: Subject) -> Subject:
 
 def scan_current(f: float) -> Subject:
     return with_scans(
-        Subject(preheated().nc.preheating, preheated().config).with_values(
-            "current_ma", lambda v: v * (1.0 + f * 1e-3)
-        )
+        Subject(preheated().nc.preheating, preheated().config).with_values("current_ma", lambda v: v * (1.0 + f * 1e-3))
     )
 
 

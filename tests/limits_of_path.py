@@ -97,9 +97,7 @@ def turned_back(f: float) -> Subject:
 
 
 def two_lines(apart_mm: float) -> Subject:
-    return program_of(
-        [[[(0.0, 0.0), (30.0, 0.0)], [(0.0, apart_mm), (30.0, apart_mm)]]], shapely.box(-5, -5, 35, 35)
-    )
+    return program_of([[[(0.0, 0.0), (30.0, 0.0)], [(0.0, apart_mm), (30.0, apart_mm)]]], shapely.box(-5, -5, 35, 35))
 
 
 def bead_turn(f: float) -> Subject:
@@ -111,9 +109,7 @@ def bead_turn(f: float) -> Subject:
 def sector(f: float) -> Subject:
     """A bead whose direction is so far out of the only sector, but for 0.01 degrees."""
     angle = math.radians(10.0 + f * 0.01)
-    subject = program_of(
-        [[[(0.0, 0.0), (100.0 * math.cos(angle), 100.0 * math.sin(angle))]]], machine={"decimals": 6}
-    )
+    subject = program_of([[[(0.0, 0.0), (100.0 * math.cos(angle), 100.0 * math.sin(angle))]]], machine={"decimals": 6})
     return subject.by(process={"travel_sectors_deg": ((-10.0, 10.0),)})
 
 

@@ -52,9 +52,7 @@ def on_table() -> Subject:
 
 def with_table(**columns: np.ndarray) -> Subject:
     full = on_table().nc.machine
-    return replace(
-        on_table(), nc=replace(on_table().nc, machine=replace(full, table=replace(full.table, **columns)))
-    )
+    return replace(on_table(), nc=replace(on_table().nc, machine=replace(full, table=replace(full.table, **columns))))
 
 
 def turned_to(f: float) -> Subject:

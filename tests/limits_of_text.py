@@ -84,12 +84,8 @@ def windows():
         "layer_over_bead": (over_bead, over_bead),
     }
     for name, (least, greatest) in figures.items():
-        yield upwards(
-            "process window", f"process.{name}", lambda f, n=name, v=greatest: with_window(n, v, 1, f)
-        )
-        yield downwards(
-            "process window", f"process.{name}", lambda f, n=name, v=least: with_window(n, v, 0, f)
-        )
+        yield upwards("process window", f"process.{name}", lambda f, n=name, v=greatest: with_window(n, v, 1, f))
+        yield downwards("process window", f"process.{name}", lambda f, n=name, v=least: with_window(n, v, 0, f))
 
 
 def wire_of(figure: float) -> Subject:
@@ -98,9 +94,9 @@ def wire_of(figure: float) -> Subject:
 
 def ramped(**windows) -> Subject:
     """A bead of 100 mm whose beam rises along 20 mm, and falls along as many: in two seconds each."""
-    return program_of(
-        [[[(0.0, 0.0), (100.0, 0.0)]]], process={"ramp_up_mm": 20.0, "crater_fill_mm": 20.0}
-    ).by(process=windows)
+    return program_of([[[(0.0, 0.0), (100.0, 0.0)]]], process={"ramp_up_mm": 20.0, "crater_fill_mm": 20.0}).by(
+        process=windows
+    )
 
 
 def drawn_back(f: float) -> Subject:
@@ -118,9 +114,7 @@ def without_axes(f: float) -> Subject:
     """So many of the blocks of metal name no Y: from a tenth on it is the form of the program."""
 
     def change(lines):
-        blocks = [
-            (n, i) for n in lines for i, line in enumerate(lines[n]) if re.match(r"N\d+ G1 X\S+ Y", line)
-        ]
+        blocks = [(n, i) for n in lines for i, line in enumerate(lines[n]) if re.match(r"N\d+ G1 X\S+ Y", line)]
         for name, i in blocks[: round(f * 0.1 * len(blocks))]:
             lines[name][i] = re.sub(r" Y\S+", "", lines[name][i])
 
@@ -156,9 +150,7 @@ def used_kg() -> float:
     nc = cube().nc
     rows = np.flatnonzero(nc.wire)
     seconds = 60.0 * nc.lengths[rows] / nc.feed_mm_min[rows]
-    return float(
-        (seconds * nc.wire_mm_s[rows]).sum() * np.pi * 0.8**2 * 1e-9 * cube().config.material.density_kg_m3
-    )
+    return float((seconds * nc.wire_mm_s[rows]).sum() * np.pi * 0.8**2 * 1e-9 * cube().config.material.density_kg_m3)
 
 
 def used_h() -> float:
@@ -172,9 +164,7 @@ def waiting(wait_s: float, layer: int = 1, **process) -> Subject:
     pause_s = process.get("layer_pause_s", 0.0)
     subject = cube().by(process=process)
     for k in range(1, 4):
-        subject = subject.with_event(
-            int(cube().of_layer(k)[0]) - 2, "layer_pause_s", wait_s if k == layer else pause_s
-        )
+        subject = subject.with_event(int(cube().of_layer(k)[0]) - 2, "layer_pause_s", wait_s if k == layer else pause_s)
     return subject
 
 

@@ -67,9 +67,7 @@ def torus(major: float = 20.0, minor: float = 6.0, m: int = 48, n: int = 24) -> 
     return from_arrays(vertices, faces, "torus")
 
 
-def moved(
-    part: Part, matrix: ArrayLike = ((1, 0, 0), (0, 1, 0), (0, 0, 1)), shift: ArrayLike = (0, 0, 0)
-) -> Part:
+def moved(part: Part, matrix: ArrayLike = ((1, 0, 0), (0, 1, 0), (0, 0, 1)), shift: ArrayLike = (0, 0, 0)) -> Part:
     """Apply a linear map and a shift; a mirroring map turns the facets over as well."""
     m = np.asarray(matrix, float)
     faces = part.faces if np.linalg.det(m) > 0 else part.faces[:, ::-1]

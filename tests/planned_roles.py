@@ -11,9 +11,7 @@ from ebamcheck.settings.config import Config
 from ebamcheck.writing.bead_ends import planned_path
 
 
-def as_planned(
-    nc: NCProgram, curves: CurveColumns | None, plan: ScanColumns | None, config: Config
-) -> NCProgram:
+def as_planned(nc: NCProgram, curves: CurveColumns | None, plan: ScanColumns | None, config: Config) -> NCProgram:
     """Return the program with the roles of the plan that it was made from: contours, islands, or both."""
     if curves is None and plan is None:
         return nc

@@ -1,4 +1,4 @@
-"""Sections of every kind, their plans, and what is measured of a plan."""
+"""A stack of turned blades for plans, and whether two plans are one."""
 
 from __future__ import annotations
 
@@ -15,7 +15,6 @@ from ebamcheck.settings.config import Config
 PROFILE = Config().changed(scan={"annealing_steps": 1000})
 """Orders are improved for a fortieth of the usual time: no law of a plan hangs on how good they are."""
 
-WIDTH = PROFILE.process.bead_width_mm
 ANGLE = np.linspace(0, 2 * math.pi, 500, endpoint=False)
 
 
@@ -30,43 +29,6 @@ def blade():
     body = shapely.Polygon(outline).difference(disc(-60, 0, 22)).difference(shapely.box(30, -20, 90, 15))
     walls = [shapely.box(140, -4, 260, 4), shapely.box(255, -80, 260, 80), shapely.box(200, 30, 258, 34)]
     return shapely.union_all([body, *walls])
-
-
-SECTIONS = {
-    "box": shapely.box(0, 0, 200, 80),
-    "blade with holes and walls": blade(),
-    "two regions, one in the hole of the other": shapely.union_all(
-        [disc(0, 0, 90).difference(disc(0, 0, 60)), disc(5, 5, 35)]
-    ),
-    "turned comb": affinity.rotate(
-        shapely.union_all(
-            [shapely.box(0, 0, 180, 40), *(shapely.box(k, 40, k + 5, 110) for k in range(0, 180, 30))]
-        ),
-        23,
-    ),
-    "ring thinner than a bead": disc(0, 0, 60).difference(disc(0, 0, 56)),
-    "ring of three beads": disc(0, 0, 60).difference(disc(0, 0, 43)),
-    "wedge": shapely.Polygon([(0, 0), (150, 0), (0, 30)]),
-    "far away": affinity.translate(blade(), 5e4, -5e4),
-}
-
-
-def lines_of(plan):
-    return shapely.linestrings(plan.vectors[["x0", "y0", "x1", "y1"]].to_numpy().reshape(-1, 2, 2))
-
-
-def beads_of(plan):
-    return shapely.union_all(
-        [
-            *shapely.buffer(lines_of(plan), WIDTH / 2),
-            *shapely.buffer(shapely.boundary(plan.contours), WIDTH / 2),
-        ]
-    )
-
-
-def whole_hexagons(plan):
-    area = 1.5 * math.sqrt(3) * plan.metrics["side_mm"][0] ** 2
-    return np.flatnonzero(np.isclose(plan.island_area_mm2, area, rtol=1e-9))
 
 
 def stack(count=7):

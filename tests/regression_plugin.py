@@ -28,9 +28,7 @@ def _block():
     filled[3, 2] = False
     filled[5, 3:] = False
     filled[0, 3:, 1] = False
-    return cells(
-        "trial-block", "stepped block with hole, pore and slit", (x, y, (0.0, 5.0, 10.0)), filled, -2
-    )
+    return cells("trial-block", "stepped block with hole, pore and slit", (x, y, (0.0, 5.0, 10.0)), filled, -2)
 
 
 BLOCK = _block()

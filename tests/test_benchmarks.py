@@ -31,9 +31,7 @@ from ebamcheck.settings.config import Config
 from ebamcheck_models import LADDER
 
 
-def one_round(
-    seconds: float, layers_cut: int = 100, layers: int = 100, points: int = 1000
-) -> dict[str, object]:
+def one_round(seconds: float, layers_cut: int = 100, layers: int = 100, points: int = 1000) -> dict[str, object]:
     return {
         "load_s": 0.25 * seconds, "prepare_s": 0.25 * seconds, "slice_s": 0.5 * seconds,
         "layers": layers, "layers_cut": layers_cut, "points": points, "rings": 10, "output_bytes": 16 * points,
@@ -146,9 +144,7 @@ def test_the_chart_is_one_picture_that_says_what_is_not_measured(tmp_path: Path)
 
 
 @pytest.mark.parametrize("facets", [4822, 37747])
-def test_the_even_mesh_is_closed_near_equilateral_and_of_the_size_asked_for(
-    facets: int, tmp_path: Path, monkeypatch
-):
+def test_the_even_mesh_is_closed_near_equilateral_and_of_the_size_asked_for(facets: int, tmp_path: Path, monkeypatch):
     count = parts.write_even_mesh(LADDER, facets, tmp_path / "even.stl")
     part = load(tmp_path / "even.stl")
     assert len(part.faces) == count
@@ -166,9 +162,7 @@ def test_shuffled_facets_are_the_same_facets(tmp_path: Path, monkeypatch: pytest
     monkeypatch.setattr(parts, "FOLDER", tmp_path / "parts")
     given = parts.benchmark_part("even", 1)
     mixed = parts.shuffled(given)
-    one, other = (
-        sorted(np.frombuffer(p.path.read_bytes(), "V50", offset=84).tolist()) for p in (given, mixed)
-    )
+    one, other = (sorted(np.frombuffer(p.path.read_bytes(), "V50", offset=84).tolist()) for p in (given, mixed))
     assert one == other
     assert given.path.read_bytes() != mixed.path.read_bytes()
     assert parts.shuffled(given).path.stat().st_mtime_ns == mixed.path.stat().st_mtime_ns
@@ -274,9 +268,7 @@ def test_the_tables_of_the_curves_name_every_kind_and_method(tmp_path: Path) -> 
         "noise",
     }
     methods = {*METHODS, *curves.PEERS}
-    assert {(row["kind"], row["method"]) for row in record["summary"]} == {
-        (k, m) for k in kinds for m in methods
-    }
+    assert {(row["kind"], row["method"]) for row in record["summary"]} == {(k, m) for k in kinds for m in methods}
     text = (tmp_path / "curves.md").read_text()
     assert all(f"| {row['part']} |" in text for row in record["parts"])
     assert all(row["crossing"] == 0 for row in record["parts"] if row["method"] in METHODS)
@@ -298,15 +290,11 @@ DONE = {"status": "done", "why": ""}
 def results(**tasks: list[dict[str, object]]) -> dict[str, tuple[str, str]]:
     raw = raw_figures()
     figures = Figures(raw["cells"], tasks, raw["parts"], "ladder", 11)
-    return {
-        target.what.partition(",")[2].strip() or target.what: target.judged(figures) for target in TARGETS
-    }
+    return {target.what.partition(",")[2].strip() or target.what: target.judged(figures) for target in TARGETS}
 
 
 def test_a_target_is_met_missed_or_says_why_it_was_not_measured():
-    told = results(
-        **{"cold": [{"status": "failed", "why": "it crashed"}], "start-up": [{**DONE, "wall_s": 1.6}]}
-    )
+    told = results(**{"cold": [{"status": "failed", "why": "it crashed"}], "start-up": [{**DONE, "wall_s": 1.6}]})
     assert told["file to contours, warm process"] == ("400 ms (380 ms .. 420 ms, n = 3)", "met")
     assert told["whole command, cold"] == ("-", "not measured (failed: it crashed)")
     assert told["one layer)"] == ("1.60 s", "**missed**: 2.00 times the target")

@@ -78,9 +78,7 @@ def test_a_tip_that_reaches_out_between_the_points_that_are_looked_at_is_no_inne
     tip = np.array([[-10.0, -6.0, 6.0], [10.0, -6.0, 6.0], [0.0, 12.0, 6.0], [0.0, 0.0, 40.0]])
     part = from_arrays(
         np.vstack([block.vertices, tip]),
-        np.vstack(
-            [block.faces, len(block.vertices) + np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])]
-        ),
+        np.vstack([block.faces, len(block.vertices) + np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])]),
     )
     found = inspect(part)
     assert [relation.kind for relation in found.relations] == ["overlapping"]

@@ -51,9 +51,7 @@ def sharp(degrees, direction):
 
 def shallow(degrees):
     """A pyramid whose flanks rise by few degrees: a little height is far in the plane."""
-    return solids.revolved(
-        [(0.0, 0.0), (15.0, 0.0), (0.0, 15.0 * math.tan(math.radians(degrees)))], 7, closed=False
-    )
+    return solids.revolved([(0.0, 0.0), (15.0, 0.0), (0.0, 15.0 * math.tan(math.radians(degrees)))], 7, closed=False)
 
 
 @pytest.mark.in_turn(9, 4)
@@ -112,9 +110,7 @@ def test_no_searched_outline_breaks_the_bound(method, count):
         if line.length < 0.5:
             return
         outline = line.buffer(0.5 * thickness, cap_style="flat", join_style="mitre", mitre_limit=5.0)
-        outline = max(
-            shapely.get_parts(shapely.set_precision(outline, 1e-6)), key=lambda p: p.area, default=None
-        )
+        outline = max(shapely.get_parts(shapely.set_precision(outline, 1e-6)), key=lambda p: p.area, default=None)
         if outline is None or not outline.area > 1e-4:
             return
         part = solids.mapped(solids.prism(outline, 0.0, 2.0), solids.turn(degrees))

@@ -119,9 +119,7 @@ def test_a_program_without_its_run_asks_for_its_settings(made, tmp_path):
     lines = program.read_text().splitlines()
     program.write_text("\n".join([*lines[:20], "R10=40", *lines[20:], ""]))
     (found,) = [c for c in verify(program, made[1]) if not c.passed]
-    assert found.text.startswith(
-        "unknown word 'R10=40'; no run lies beside the program, so the default settings"
-    )
+    assert found.text.startswith("unknown word 'R10=40'; no run lies beside the program, so the default settings")
     assert "--config" in found.text
     (found,) = [c for c in verify(program, made[1], FOUR_MM) if not c.passed]
     assert found.text == "unknown word 'R10=40'"

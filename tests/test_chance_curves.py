@@ -8,7 +8,7 @@ import pytest
 from benchmarks.chance_curves import chance_case, errors_of, judge
 from benchmarks.curve_parts import CAD, heights_of, part_of
 from benchmarks.curve_parts_meshes import decimated, irregular_convex, noisy, turned
-from benchmarks.curve_parts_solids import Floats, Triangles
+from benchmarks.curve_parts_solids import Triangles
 from ebamcheck.curves import LINE, fit
 from ebamcheck.curves.gate import POLYLINE
 from ebamcheck.curves.lifting import Lifting
@@ -17,8 +17,8 @@ from ebamcheck.mesh.part import Part
 from ebamcheck.settings.stages import CurveSettings
 from ebamcheck.slicers.slicing import slice_part
 from ebamcheck.surface.lift_limits import AHEAD, judge_bends, plausible_share
-from ebamcheck.surface.part_surface import PartSurface, surface_of
-from ebamcheck.surface.regions import FREEFORM, STRIP
+from ebamcheck.surface.part_surface import surface_of
+from ebamcheck.surface.regions import FREEFORM
 from ebamcheck_models import LADDER
 
 FAR_ENDS = (347, 185, 725, 727, 867, 974, 1048, 178, 970, 996, 1032, 466, 739)
@@ -31,28 +31,7 @@ FALSE_FORMS = (21, 53, 104, 162, 181, 213, 230, 281, 512, 688, 691, 1226)
 by two rims, by a torus that was a ball, and by segments beside them that took what these would not bend."""
 
 BROKE_ONCE = (
-    1,
-    7,
-    8,
-    9,
-    10,
-    61,
-    94,
-    117,
-    139,
-    150,
-    218,
-    272,
-    365,
-    242,
-    330,
-    388,
-    386,
-    109,
-    148,
-    71,
-    276,
-    988,
+    *(1, 7, 8, 9, 10, 61, 94, 117, 139, 150, 218, 272, 365, 242, 330, 388, 386, 109, 148, 71, 276, 988),
     *FAR_ENDS,
     *FALSE_FORMS,
 )
@@ -112,8 +91,14 @@ def lifting(part: Part) -> Lifting:
     return Lifting(surface_of(part, CurveSettings()))
 
 
-def test_scattered_points_of_a_smooth_surface_are_known_as_such() -> None:
-    assert judge_bends(lifting(ellipsoid()).surface) == (True, False)
+def test_scattered_points_and_noise_are_known_by_the_bends_of_edges() -> None:
+    """Noise bends edges to both sides."""
+    smooth = ellipsoid()
+    assert judge_bends(lifting(smooth).surface) == (True, False)
+    rough = noisy(Triangles(smooth.vertices, smooth.faces.astype(np.int64)), 0.3, 1)
+    assert judge_bends(lifting(part_of(rough, "noisy")).surface).are_rough
+    ring = part_of(turned(decimated(CAD["bearing ring"](0.05), 0.1), 3), "ring")
+    assert judge_bends(lifting(ring).surface) == (False, False)
 
 
 def test_edges_that_stand_out_do_not_make_a_mesh_one_of_scattered_points() -> None:
@@ -139,17 +124,6 @@ def test_the_largest_error_is_taken_at_kinks() -> None:
     assert errors_of(layers, truth)[1] == pytest.approx(3.0)
 
 
-def test_noise_is_known_by_edges_that_bend_to_both_sides() -> None:
-    mesh = ellipsoid()
-    rough = noisy(Triangles(mesh.vertices, mesh.faces.astype(np.int64)), 0.3, 1)
-    assert judge_bends(lifting(part_of(rough, "noisy")).surface).are_rough
-
-
-def test_a_decimated_ring_is_neither_scattered_nor_rough() -> None:
-    part = part_of(turned(decimated(CAD["bearing ring"](0.05), 0.1), 3), "ring")
-    assert judge_bends(lifting(part).surface) == (False, False)
-
-
 def test_far_ends_bear_out_a_decimated_body_that_is_curved_all_over() -> None:
     limits = lifting(part_of(decimated(CAD["torus"](0.02), 0.1), "torus")).limits
     assert np.mean(limits.acts == AHEAD) < 0.01
@@ -173,35 +147,6 @@ def test_a_tessellators_long_edges_need_no_witness() -> None:
     limits = lifting(LADDER.tessellate(0.3)).limits
     assert not (limits.acts == AHEAD).any()
     assert (limits.share == 1.0).all()
-
-
-def test_the_short_end_of_a_strip_is_no_ruling() -> None:
-    """Seed 388 has strips 15 mm long on strips of a fillet 0.2 mm wide, which tilted their normals by 3 degrees along them."""
-    part = chance_case(388).part
-    normals = surface_of(part, CurveSettings())
-    along, tilt = _tilts_along_strips(part, normals)
-    assert (along > 10.0).sum() > 20
-    assert np.degrees(tilt[along > 10.0]).max() < 0.5
-
-
-def _tilts_along_strips(part: Part, normals: PartSurface) -> tuple[Floats, Floats]:
-    """Longest edge of each facet of a strip, mm, and how far the normals at its ends tilt along it, rad."""
-    faces = part.faces[normals.kind == STRIP]
-    rows = normals.sectors[normals.kind == STRIP]
-    edges = part.vertices[np.roll(faces, -1, axis=1)] - part.vertices[faces]
-    lengths = np.linalg.norm(edges, axis=2)
-    longest = lengths.argmax(axis=1)
-    at = np.arange(len(faces))
-    way = edges[at, longest] / lengths[at, longest][:, None]
-    tilt = np.zeros(len(faces))
-    for step in (0, 1):
-        n = normals.normals[rows[at, (longest + step) % 3]]
-        facet = np.cross(edges[:, 0], edges[:, 1])
-        facet /= np.linalg.norm(facet, axis=1)[:, None]
-        tilt = np.maximum(
-            tilt, np.abs(np.arcsin(np.clip((n * way).sum(axis=1) - (facet * way).sum(axis=1), -1, 1)))
-        )
-    return np.asarray(lengths[at, longest]), np.asarray(tilt)
 
 
 def test_a_lift_is_left_by_less_the_more_it_asks_for_beyond_what_is_plausible() -> None:

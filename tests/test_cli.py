@@ -101,9 +101,7 @@ def test_inspect(place, here):
     assert re.search(r"^verdict +open: 3 open edges", told.stdout, re.MULTILINE)
 
 
-@pytest.mark.parametrize(
-    ("change", "said"), [("open", "has open paths"), ("turned", "has no contour on any layer")]
-)
+@pytest.mark.parametrize(("change", "said"), [("open", "has open paths"), ("turned", "has no contour on any layer")])
 def test_slice_warns_of_a_part_without_an_inside(place, here, change, said):
     part = frame()
     faces = part.faces[:-1] if change == "open" else part.faces[:, ::-1]
@@ -235,9 +233,7 @@ def test_internal_errors_are_one_line_with_code_3(place, tmp_path):
     info = tmp_path / "loose_plugin-1.dist-info"
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: loose-plugin\nVersion: 1\n")
-    (info / "entry_points.txt").write_text(
-        "[ebamcheck.commands]\nloose = loose_plugin:loose\ngone = nosuch:gone\n"
-    )
+    (info / "entry_points.txt").write_text("[ebamcheck.commands]\nloose = loose_plugin:loose\ngone = nosuch:gone\n")
     told = started("loose", cwd=place, PYTHONPATH=str(tmp_path))
     assert told.returncode == 3
     (error,) = told.stderr.splitlines()

@@ -100,9 +100,7 @@ def test_comments_hatches_several_models_and_broken_lines(tmp_path):
 
 
 def test_a_polyline_against_its_direction_is_turned_and_reported(tmp_path, caplog):
-    path = text_file(
-        tmp_path, "$$GEOMETRYSTART\n$$LAYER/1\n$$POLYLINE/1,1,4,0,0,0,4,4,4,4,0\n$$GEOMETRYEND\n"
-    )
+    path = text_file(tmp_path, "$$GEOMETRYSTART\n$$LAYER/1\n$$POLYLINE/1,1,4,0,0,0,4,4,4,4,0\n$$GEOMETRYEND\n")
     with caplog.at_level(logging.WARNING):
         assert read_cli(path).areas().tolist() == [16.0]
     assert "1 of 1 polylines" in caplog.text

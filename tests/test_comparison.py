@@ -89,9 +89,7 @@ def test_two_that_differ_are_undecided():
 def test_consensus_is_the_largest_consistent_set(count, gated, agreeing, expected):
     names = "abcd"[:count]
     couples = [(i, j) for i in range(count) for j in range(i + 1, count)]
-    marks = [
-        np.array([f"{names[i]}{names[j]}" in text.split() for i, j in couples]) for text in (gated, agreeing)
-    ]
+    marks = [np.array([f"{names[i]}{names[j]}" in text.split() for i, j in couples]) for text in (gated, agreeing)]
     members, verdict = agreement(couples, *marks)
     assert ("".join(names[i] for i in members), verdict) == expected
 
@@ -167,9 +165,7 @@ BUMP = shapely.box(5, 9, 7, 10.006)
 
 
 def compared(bumps, bound_mm=0.007, box_mm=(4, 8, 2, 8, 11, 4), most_mm=0.01):
-    doubt = {"box_mm": list(box_mm), "why": "an edge was turned"} | (
-        {"bound_mm": bound_mm} if bound_mm else {}
-    )
+    doubt = {"box_mm": list(box_mm), "why": "an edge was turned"} | ({"bound_mm": bound_mm} if bound_mm else {})
     stacks = {
         "exact": from_polygons(BLOCK_HEIGHTS, [[SECTION]] * 3),
         "doubts": from_polygons(

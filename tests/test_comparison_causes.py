@@ -130,9 +130,7 @@ def mapped_points(layers, function):
 
 
 def offset(layers, by_mm):
-    regions = [
-        shapely.union_all(layers.polygons(k)).buffer(by_mm, join_style="mitre") for k in range(len(layers))
-    ]
+    regions = [shapely.union_all(layers.polygons(k)).buffer(by_mm, join_style="mitre") for k in range(len(layers))]
     return from_polygons(layers.heights, [[r] for r in regions])
 
 
@@ -181,9 +179,7 @@ def test_a_wrong_height_is_fitted_by_the_rate_of_the_section(parts, stacks, name
     assert worst.cause_size == pytest.approx(dz, rel=0.05)
 
 
-@pytest.mark.parametrize(
-    ("words", "factor"), [("inches taken for", 1 / 25.4), ("for inches", 25.4), ("centim", 0.1)]
-)
+@pytest.mark.parametrize(("words", "factor"), [("inches taken for", 1 / 25.4), ("for inches", 25.4), ("centim", 0.1)])
 def test_a_unit_of_the_whole_part_is_found(parts, stacks, words, factor):
     part, exact = parts["bracket"], stacks["bracket"]
     other = slice_part(from_arrays(part.vertices * factor, part.faces), exact.heights, "planecut")
@@ -209,9 +205,7 @@ def test_mirrors_and_half_turns(parts, stacks):
 @pytest.mark.parametrize("step", [0.01, 0.037, 0.25])
 def test_a_grid_is_found_with_its_step(parts, stacks, step):
     exact = stacks["two-spheres"]
-    _, worst = found_in(
-        parts["two-spheres"], mapped_points(exact, lambda p: np.round(p / step) * step), exact
-    )
+    _, worst = found_in(parts["two-spheres"], mapped_points(exact, lambda p: np.round(p / step) * step), exact)
     assert worst.cause == "quantised coordinates"
     assert worst.cause_size == pytest.approx(step, rel=1e-6)
 
@@ -258,9 +252,7 @@ def test_layers_that_are_dropped_doubled_or_shifted(parts, stacks):
     dropped, worst = found_in(part, every_third, exact)
     assert {f.cause for f in dropped.findings} == {"dropped layers"}
     assert worst.cause_size == np.count_nonzero(np.arange(LAYERS) % 3 == 0)
-    doubled, worst = found_in(
-        part, replace(exact.take(np.arange(LAYERS) // 2 * 2), heights=exact.heights), exact
-    )
+    doubled, worst = found_in(part, replace(exact.take(np.arange(LAYERS) // 2 * 2), heights=exact.heights), exact)
     assert {f.cause for f in doubled.findings} == {"duplicated layers"}
     assert worst.cause_size == LAYERS // 2
     above = np.minimum(np.arange(LAYERS) + 2, LAYERS - 1)

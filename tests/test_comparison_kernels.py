@@ -142,22 +142,13 @@ def test_measures_are_symmetric_and_do_not_depend_on_the_frame(seed):
         moved = [
             from_rings(
                 [0.0],
-                [
-                    [
-                        (r @ matrix.T * scale)[:: int(np.sign(np.linalg.det(matrix)))]
-                        for r in map(x.ring, x.rings_of(0))
-                    ]
-                ],
+                [[(r @ matrix.T * scale)[:: int(np.sign(np.linalg.det(matrix)))] for r in map(x.ring, x.rings_of(0))]],
             )
             for x in (a, b)
         ]
         found = figures(*moved, limit=1e-3 * scale)
-        assert found.symmetric_difference == pytest.approx(
-            base.symmetric_difference * scale**2, rel=1e-9, abs=1e-11
-        )
-        assert found.hausdorff_ab == pytest.approx(
-            base.hausdorff_ab * scale, rel=1e-6, abs=2e-7 + 1e-9 * scale
-        )
+        assert found.symmetric_difference == pytest.approx(base.symmetric_difference * scale**2, rel=1e-9, abs=1e-11)
+        assert found.hausdorff_ab == pytest.approx(base.hausdorff_ab * scale, rel=1e-6, abs=2e-7 + 1e-9 * scale)
         assert found.p95_ab == pytest.approx(base.p95_ab * scale, rel=0.01)
         assert found.depth == pytest.approx(base.depth * scale, abs=2e-6 + 2e-5 * scale)
 
@@ -202,8 +193,7 @@ def test_areas_of_overlapping_rings_are_those_by_winding_number(seed):
     lines = [shapely.linestrings(s.reshape(2, 2)) for o in outlines for s in o.segments]
     cells = shapely.get_parts(shapely.polygonize([shapely.union_all(lines)]))
     inside = [
-        np.array([winding(rings_of(o), p.x, p.y) > 0 for p in shapely.point_on_surface(cells)], bool)
-        for o in outlines
+        np.array([winding(rings_of(o), p.x, p.y) > 0 for p in shapely.point_on_surface(cells)], bool) for o in outlines
     ]
     found = figures(a, b)
     size = shapely.area(cells)

@@ -83,9 +83,7 @@ def test_a_fin_thicker_than_twice_the_limit_may_not_be_gone(width):
     block = shapely.box(-10, -5, 0, 5)
     fin = shapely.box(2, -width / 2, 20, width / 2)
     for lost in (block, block.union(shapely.clip_by_rect(fin, 5, -1, 9, 1))):
-        rows = compare(
-            from_polygons([0.0], [[block.union(fin)]]), from_polygons([0.0], [[lost]]), tolerance_mm=0.06
-        )
+        rows = compare(from_polygons([0.0], [[block.union(fin)]]), from_polygons([0.0], [[lost]]), tolerance_mm=0.06)
         assert not rows.loc[0, "agrees"]
 
 
@@ -100,7 +98,5 @@ def test_layer_classes_are_those_of_a_plain_search(seed):
     z = part.vertices[part.faces][:, :, 2]
     for height, found in zip(heights, layer_classes(part, heights, margin), strict=True):
         near = (z >= height - margin) & (z <= height + margin)
-        expected = (
-            "face-on-plane" if near.all(axis=1).any() else "vertex-on-plane" if near.any() else "generic"
-        )
+        expected = "face-on-plane" if near.all(axis=1).any() else "vertex-on-plane" if near.any() else "generic"
         assert found == expected

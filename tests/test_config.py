@@ -38,11 +38,7 @@ def written(tmp_path, text, name="ebamcheck.toml"):
 
 
 def all_keys():
-    return [
-        (section, key)
-        for section, info in Config.model_fields.items()
-        for key in info.annotation.model_fields
-    ]
+    return [(section, key) for section, info in Config.model_fields.items() for key in info.annotation.model_fields]
 
 
 def test_without_a_file_the_defaults_hold():
@@ -183,9 +179,7 @@ def bounds_in(kind: Any, metadata: tuple[Any, ...] = ()) -> list[Between | None]
     return []
 
 
-SLICERS = {
-    name: registry.slicer(name).Settings for name in (*registry.house_slicers(), *registry.witnesses())
-}
+SLICERS = {name: registry.slicer(name).Settings for name in (*registry.house_slicers(), *registry.witnesses())}
 SECTIONS = {name: field.annotation for name, field in Config.model_fields.items() if name != "machines"}
 OTHERS = {"process.keep_out": KeepOut, "matrix": Case, "tolerances": Tolerance}
 NUMBERS = {

@@ -78,9 +78,7 @@ def test_a_motion_without_a_feed_never_ends(tmp_path):
     program = read_program(text.files.main, text.config)
     assert [found.ends_in for found in consumed(program, text.config)] == [None, None]
     program.feed_mm_min[np.flatnonzero(program.beam)[3]] = 0.0
-    assert [(found.ends_in, math.isinf(found.total)) for found in consumed(program, text.config)] == [
-        (0, True)
-    ] * 2
+    assert [(found.ends_in, math.isinf(found.total)) for found in consumed(program, text.config)] == [(0, True)] * 2
 
 
 def test_a_motion_without_a_feed_uses_up_nothing_where_neither_beam_nor_wire_is_on(tmp_path):
@@ -142,10 +140,7 @@ def of_a_layer(place, tmp_path_factory):
     """Wire, kg, and hours under beam of the first layer, by its certificate."""
     folder = tmp_path_factory.mktemp("amounts") / "b"
     three_layers(place, folder, spool_kg=1e3, cathode_h=1e3)
-    spent = [
-        json.loads((folder / "layers" / f"MAIN_K000{k}R1" / "layer.json").read_text())["spent"]
-        for k in (1, 2, 3)
-    ]
+    spent = [json.loads((folder / "layers" / f"MAIN_K000{k}R1" / "layer.json").read_text())["spent"] for k in (1, 2, 3)]
     for name in ("wire_kg", "beam_h"):
         assert [one[name] for one in spent] == pytest.approx([k * spent[0][name] for k in (1, 2, 3)], rel=0.1)
     return {"spool_kg": spent[0]["wire_kg"], "cathode_h": spent[0]["beam_h"]}

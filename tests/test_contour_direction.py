@@ -28,9 +28,7 @@ def turns(nc, layer):
 def test_contours_run_as_the_setting_says_and_pass_all_checks(tmp_path, direction, ends):
     made = Made(tmp_path, RING, CONFIG.changed(process={"contour_direction": direction, **ends}))
     nc = made.read()
-    checks = verify_program(
-        nc, config=made.config, curves=made.beads, plan=made.plan, layers=made.layers, beads=True
-    )
+    checks = verify_program(nc, config=made.config, curves=made.beads, plan=made.plan, layers=made.layers, beads=True)
     assert [(c.name, c.text) for c in checks if not c.passed] == []
     for layer in range(4):
         other_way = direction == "alternating" and layer % 2 == 1
@@ -71,9 +69,7 @@ def test_a_contour_driven_against_its_plan_is_found(tmp_path):
     for ends in ({}, SHAPED):
         config = made.config.changed(process=ends)
         files = write_program(other, made.plan, config, tmp_path / f"turned {len(ends)}")
-        checks = verify_program(
-            read_program(files.main, config), config=config, curves=made.beads, plan=made.plan
-        )
+        checks = verify_program(read_program(files.main, config), config=config, curves=made.beads, plan=made.plan)
         (found,) = [check for check in checks if check.name == "contour rings"]
         assert not found.passed
         assert found.where.startswith("MAIN_L0002.SPF:")

@@ -100,9 +100,7 @@ def wire_times(factor):
     """Edit of a file: all of its wire speeds, multiplied."""
 
     def change(lines):
-        lines[:] = [
-            re.sub(r"H3=([\d.]+)", lambda m: f"H3={factor * float(m[1]):.6f}", line) for line in lines
-        ]
+        lines[:] = [re.sub(r"H3=([\d.]+)", lambda m: f"H3={factor * float(m[1]):.6f}", line) for line in lines]
 
     return change
 
@@ -269,9 +267,7 @@ def test_walls_under_a_bead_shut_the_gate(thickness, tmp_path):
     assert "beside the part" in gate.text or "metal" in gate.text
 
 
-@pytest.mark.parametrize(
-    ("thickness", "said"), [(4.0, "set process.bead_width_mm 4.0"), (1.0, "the thinnest wall")]
-)
+@pytest.mark.parametrize(("thickness", "said"), [(4.0, "set process.bead_width_mm 4.0"), (1.0, "the thinnest wall")])
 def test_a_wall_under_a_bead_is_named_with_what_would_lay_it(thickness, said, tmp_path):
     made = Made(tmp_path, shapely.box(0, 0, 80, thickness), layers=2)
     check = made.checks()["metal outside"]
@@ -332,9 +328,7 @@ def test_other_controls_lay_the_same_metal(control, tmp_path):
     nc = read_program(files.main, config)
     found = deposit(nc, made.layers, made.z, config)
     theirs = deposit(made.read(), made.layers, made.z, made.config)
-    assert found.layers["laid_mm3"].to_numpy() == pytest.approx(
-        theirs.layers["laid_mm3"].to_numpy(), rel=1e-4
-    )
+    assert found.layers["laid_mm3"].to_numpy() == pytest.approx(theirs.layers["laid_mm3"].to_numpy(), rel=1e-4)
     assert [c for c in deposit_checks(nc, found, config) if not c.passed] == []
     assert wire_check(nc, config, planned_path(made.beads, made.plan, config)).passed
 

@@ -218,17 +218,13 @@ def test_a_public_name_says_what_it_takes_gives_and_raises_and_shows_it(found: A
     assert doctest.DocTestParser().get_examples(said), "no example: `make test` runs them"
     if found in PROTOCOLS:
         return
-    headings = {
-        line for line, under in itertools.pairwise(said.splitlines()) if under and under == "-" * len(line)
-    }
+    headings = {line for line, under in itertools.pairwise(said.splitlines()) if under and under == "-" * len(line)}
     assert headings & {"Parameters", "Attributes"}
     if inspect.isfunction(found):
         assert "Returns" in headings
         assert "Raises" in headings or "raise " not in inspect.getsource(found)
         described = said.partition("Parameters\n")[2].partition("\n\n")[0]
-        heads = {
-            n.strip(" *") for line in re.findall(r"^\S.*", described, re.MULTILINE) for n in line.split(",")
-        }
+        heads = {n.strip(" *") for line in re.findall(r"^\S.*", described, re.MULTILINE) for n in line.split(",")}
         taken = inspect.signature(found).parameters.values()
         assert {one.name for one in taken if one.kind is not one.VAR_KEYWORD} <= heads
 
@@ -241,9 +237,7 @@ def commands(page: str) -> list[str]:
 
 def run(line: str, folder: Path) -> None:
     words = [word for word in shlex.split(line) if word not in ("python", "-m")]
-    ended = subprocess.run(
-        [sys.executable, "-m", *words], cwd=folder, capture_output=True, text=True, check=False
-    )
+    ended = subprocess.run([sys.executable, "-m", *words], cwd=folder, capture_output=True, text=True, check=False)
     assert ended.returncode == 0, f"{line}\n{ended.stdout}{ended.stderr}"
 
 
@@ -285,9 +279,7 @@ def blocks(language: str) -> list[object]:
     return [
         pytest.param(block, id=f"{page.stem}-{number}")
         for page in PAGES
-        for number, block in enumerate(
-            re.findall(rf"^```{language}\n(.*?)^```", text(page), re.DOTALL | re.MULTILINE)
-        )
+        for number, block in enumerate(re.findall(rf"^```{language}\n(.*?)^```", text(page), re.DOTALL | re.MULTILINE))
     ]
 
 
@@ -314,9 +306,7 @@ def test_the_python_of_the_pages_names_what_is_there(block: str):
 
 def test_the_check_of_the_page_judges_a_program():
     (block,) = [
-        b
-        for b in re.findall(r"```python\n(.*?)```", text(DOCS / "your-control.md"), re.DOTALL)
-        if "Check(" in b
+        b for b in re.findall(r"```python\n(.*?)```", text(DOCS / "your-control.md"), re.DOTALL) if "Check(" in b
     ]
     names: dict[str, Any] = {}
     exec(block, names)
@@ -335,9 +325,7 @@ def anchors(path: Path) -> set[str]:
 
 
 def test_every_page_is_linked():
-    linked = {
-        link for page in (README, DOCS / "index.md") for link in re.findall(r"\]\(([\w./-]+)", text(page))
-    }
+    linked = {link for page in (README, DOCS / "index.md") for link in re.findall(r"\]\(([\w./-]+)", text(page))}
     names = {Path(link).name for link in linked}
     assert {page.name for page in PAGES} - names <= {"index.md"}
 

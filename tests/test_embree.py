@@ -48,9 +48,7 @@ def same(a, b):
 
 
 WEDGE = shapely.Polygon([(0, 0), (30, 0.9), (0, 1.8)])
-COMB = shapely.union_all(
-    [shapely.box(0, 0, 20, 2)] + [shapely.box(x, 1, x + 0.55, 9) for x in np.arange(0, 20, 0.83)]
-)
+COMB = shapely.union_all([shapely.box(0, 0, 20, 2)] + [shapely.box(x, 1, x + 0.55, 9) for x in np.arange(0, 20, 0.83)])
 THIN = shapely.box(0, 0, 20, 20).difference(shapely.box(0.13, 0.13, 19.87, 19.87))
 GAP = shapely.box(0, 0, 20, 10).difference(shapely.box(-1, 5, 15, 5.07))
 PLATE = shapely.box(0, 0, 30, 20).difference(shapely.Point(12, 9).buffer(5))
@@ -129,9 +127,7 @@ def test_shells_that_abut_and_overlap_on_a_lattice(seed, caplog):
     assert not caplog.records
     for k, z in enumerate(heights):
         inside = (low[:, 2] < z) & (z < high[:, 2])
-        exact = shapely.union_all(
-            [shapely.box(*a[:2], *b[:2]) for a, b in zip(low[inside], high[inside], strict=True)]
-        )
+        exact = shapely.union_all([shapely.box(*a[:2], *b[:2]) for a, b in zip(low[inside], high[inside], strict=True)])
         assert depth_beyond(region(layers, k), exact, bound_mm * 1.0005) < 1e-9
 
 

@@ -79,9 +79,7 @@ def slicers(names):
     texts = {module(name): text.format(name=name) for name, (text, _) in AT_IMPORT.items()}
     for name, (body, _) in AT_PROBE.items():
         texts[module(name)] = HONEST.format(name=name) + f"    def probe(self):\n        {body}\n"
-    return {name: f"{module(name)}:S" for name in names}, {
-        module(name): texts[module(name)] for name in names
-    }
+    return {name: f"{module(name)}:S" for name in names}, {module(name): texts[module(name)] for name in names}
 
 
 @pytest.fixture(scope="module")
@@ -142,9 +140,7 @@ def test_so_it_is_with_all_the_others(tmp_path):
 
 def assert_left_out(told, name):
     text, records = told
-    (record,) = [
-        r for r in records if r["name"] == name and r.get("broken") and r["group"] == registry.BACKENDS
-    ]
+    (record,) = [r for r in records if r["name"] == name and r.get("broken") and r["group"] == registry.BACKENDS]
     assert AT_IMPORT[name][1] in record["why"]
     assert record["distribution"] == "enemies 1"
     assert f"left out: plugin {name!r}" in text
@@ -232,9 +228,7 @@ def test_answers_are_kept_until_code_version_or_file_change(tmp_path, monkeypatc
     plugin_answers.cache_file().write_text(json.dumps(kept), encoding="utf-8")
     assert "forged" not in answer()
     assert imports(tmp_path) == 3
-    (tmp_path / "counting.py").write_text(
-        (tmp_path / "counting.py").read_text() + "    summary = 'another'\n"
-    )
+    (tmp_path / "counting.py").write_text((tmp_path / "counting.py").read_text() + "    summary = 'another'\n")
     assert answer() == "another"
     registry.forget()
 
@@ -290,9 +284,7 @@ def sliced(request, slicing_enemies, tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         found_here(slicing_enemies, patch, TESTS)
         target = tmp_path_factory.mktemp("layers")
-        backends = {
-            name: registry.slicer_settings(name, {}) for name in (*request.param, "planecut", "manifold")
-        }
+        backends = {name: registry.slicer_settings(name, {}) for name in (*request.param, "planecut", "manifold")}
         steps = dict.fromkeys(backends, 0)
 
         def progress(name, done):
@@ -343,9 +335,7 @@ def test_a_stranger_slices_in_no_process_but_its_own(slicing_enemies, monkeypatc
         assert slicing.at(1.0).areas().tolist() == [4.0]
     with pytest.raises(BackendFailed, match="'leaver' crashed: its process ended with code 0"):
         api.slice(box(), [1.0], backend="leaver")
-    with pytest.raises(
-        BackendFailed, match=r"'loose' of slicing-enemies 1 runs in a process of its own only"
-    ):
+    with pytest.raises(BackendFailed, match=r"'loose' of slicing-enemies 1 runs in a process of its own only"):
         registry.slicer("loose").prepare(box(), registry.slicer_settings("loose", {}))
     assert registry.one_method("loose", "planecut")
     assert not registry.one_method("manifold", "planecut")
@@ -376,9 +366,7 @@ def writers(tmp_path_factory):
     text = "".join(f"def {name}(run):\n    {body}\n" for name, body in WRITERS.items())
     reports = {name: f"enemy_writers:{name}" for name in WRITERS} | {"html": "enemy_writers:clears"}
     backends = {"fewer": "enemy_plugin:fewer", "gone": "no_such_module:S", "loose": "enemy_plugin:LOOSE"}
-    return install(
-        folder, "writers", {registry.REPORTS: reports, registry.BACKENDS: backends}, {"enemy_writers": text}
-    )
+    return install(folder, "writers", {registry.REPORTS: reports, registry.BACKENDS: backends}, {"enemy_writers": text})
 
 
 @pytest.mark.slow
@@ -402,9 +390,7 @@ def test_a_run_among_enemies_is_whole_and_honest(writers, tmp_path):
     assert (folder / "mine" / "good.txt").read_text() == "check"
     loaded = set((folder / "mine" / "loaded.txt").read_text().split())
     assert "ebamcheck.record.run_folder" in loaded
-    assert loaded.isdisjoint({"ebamcheck.program", "ebamcheck.scan", "pandas"}), (
-        "a writer waits for no planning"
-    )
+    assert loaded.isdisjoint({"ebamcheck.program", "ebamcheck.scan", "pandas"}), "a writer waits for no planning"
     assert not {"link.txt", "certificate.json"} & {file.name for file in folder.iterdir()}
     for said in (
         "'exits' of writers 1 was lost: it ended the process with code 0",

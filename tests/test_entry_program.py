@@ -152,6 +152,4 @@ def test_a_layer_without_beads_is_no_entry_and_shuts_the_gate(tmp_path):
     assert not gates["entry"].passed
     assert result.exit_code is ExitCode.OUT_OF_TOLERANCE
     assert not result.manifest["program"]["entry"]["validated"]
-    assert not any(
-        "; VALIDATED" in path.read_text() for path in (RunFolder(tmp_path / "run").path / "entry").iterdir()
-    )
+    assert not any("; VALIDATED" in path.read_text() for path in (RunFolder(tmp_path / "run").path / "entry").iterdir())

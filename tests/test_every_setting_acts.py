@@ -160,9 +160,7 @@ ELSEWHERE = {
 
 def fields():
     """Names of all settings of the sections."""
-    return [
-        f"{section}.{key}" for section in SECTIONS for key in type(getattr(Config(), section)).model_fields
-    ]
+    return [f"{section}.{key}" for section in SECTIONS for key in type(getattr(Config(), section)).model_fields]
 
 
 def other(name: str, config: Config) -> Any:

@@ -32,9 +32,7 @@ WINDOWS = {"a least wire that is near": (36.0, 60.0), "little room on both sides
 def config_of(window):
     low, high = window
     # By a fixed order: faults are planted in beads that every layer has.
-    return Config().changed(
-        process={"wire_speed_min_mm_s": low, "wire_speed_max_mm_s": high}, scan={"order": "raster"}
-    )
+    return Config().changed(process={"wire_speed_min_mm_s": low, "wire_speed_max_mm_s": high}, scan={"order": "raster"})
 
 
 @pytest.fixture(scope="module")
@@ -67,9 +65,7 @@ def made(request, tmp_path_factory, paths):
             stages.planned_path = laid_out
         paths[folder / "along" / "program"] = last[-1]
         along = maker.make(WANTED, under, folder / "along" / "program")
-        alone = maker._made(
-            WANTED, under, folder / "alone" / "program", maker.config_of(WANTED, True, along=False)
-        )
+        alone = maker._made(WANTED, under, folder / "alone" / "program", maker.config_of(WANTED, True, along=False))
         sections = maker._slicings[maker.witness].at(along.cut_mm)
 
         def hump(layer):

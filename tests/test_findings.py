@@ -149,9 +149,7 @@ def rendered(run):
         "first screen": parts["summary"] + parts["verdict"],
         "report's certificate": parts["certificate"],
         "junit": "\n".join(str(text) for node in cases for text in (node.text, *node.attrib.values())),
-        "certificate": json.dumps(
-            json.loads((run.path / "certificate.json").read_text()), ensure_ascii=False
-        ),
+        "certificate": json.dumps(json.loads((run.path / "certificate.json").read_text()), ensure_ascii=False),
     }
 
 
@@ -339,9 +337,7 @@ def test_no_temperature_over_the_boiling_point_is_a_figure(rise_k, figure):
 
 
 def test_waits_and_power_are_told_with_their_figures():
-    summary = pd.DataFrame(
-        {"pause_s": [1800.0, 0.0], "deposit_s": [3000.0, 600.0], "travel_s": [900.0, 900.0]}
-    )
+    summary = pd.DataFrame({"pause_s": [1800.0, 0.0], "deposit_s": [3000.0, 600.0], "travel_s": [900.0, 900.0]})
     plan = replace(make_plan([0.75, 2.25], []), metrics=pd.DataFrame({"power_share": [1.0, 0.4]}))
     wait, power = findings.interpass_findings(summary, plan, Config())
     assert wait.text == "the program waits 0.5 of 2 hours for the part to cool"

@@ -69,16 +69,6 @@ def test_post_writes_for_every_control(stl: Path, tmp_path: Path, control: str) 
         assert len(read_program(main).layer_files) > 1
 
 
-def test_post_of_a_control_or_folder_that_is_not_there(stl: Path, tmp_path: Path) -> None:
-    code, text = run("post", stl, "-o", tmp_path / "p", "--control", "abacus")
-    assert code == ExitCode.USAGE
-    assert "abacus" in text
-    assert not (tmp_path / "p").exists()
-    code, text = run("post", tmp_path, "-o", tmp_path / "p")
-    assert code == ExitCode.USAGE
-    assert "no finished run folder" in text
-
-
 def test_post_writes_one_layer_for_a_simulator_alone(stl: Path, tmp_path: Path) -> None:
     (tmp_path / "wide.toml").write_text(WIDE_TOML)
     thick = ("-c", tmp_path / "wide.toml", "--layer-height", 20)

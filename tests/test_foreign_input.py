@@ -47,9 +47,7 @@ KINDS = {
         ("x", regular_file),
     ],
 )
-def test_what_is_no_file_is_refused_by_every_reader_before_it_is_opened(
-    tmp_path, monkeypatch, kind, name, read
-):
+def test_what_is_no_file_is_refused_by_every_reader_before_it_is_opened(tmp_path, monkeypatch, kind, name, read):
     """Each of these would hang, never end, or fill the memory, were it opened."""
     monkeypatch.chdir(tmp_path)  # names of sockets are short
     KINDS[kind](path := Path(name))

@@ -176,9 +176,7 @@ def test_layers_swapped_for_those_of_another_height_are_found(run, made, tmp_pat
     # The same with layers that claim to be cut from the part: the contours themselves tell.
     for name in ("planecut", "manifold"):
         layers = RunFolder(other).read_layers(name)
-        write_parquet(
-            replace(layers, part=RunFolder(run).read_layers(name).part), other / "layers" / f"{name}.parquet"
-        )
+        write_parquet(replace(layers, part=RunFolder(run).read_layers(name).part), other / "layers" / f"{name}.parquet")
     manifest["files"] = {n: sha256_of_file(other / n) for n in manifest["files"]}
     write_json(manifest, other / "run.json")
     resealed(other)
@@ -198,9 +196,7 @@ def test_an_approver_who_did_not_sign_is_found_by_the_signature(run, keys):
     assert set(failed(run, quick=True, trusted=trusted)) == {"signature"}
 
 
-@pytest.mark.parametrize(
-    "field", ["name", "role", "date", "signature", "public_key", "certificate_sha256", "format"]
-)
+@pytest.mark.parametrize("field", ["name", "role", "date", "signature", "public_key", "certificate_sha256", "format"])
 def test_a_signature_whose_text_was_changed_is_broken(run, keys, field):
     file = sign(run / CERTIFICATE, keys[0], "Jane Doe")
     found = json.loads(file.read_text())
@@ -367,15 +363,11 @@ def test_a_file_that_a_control_would_load_is_a_fault_of_run_and_program(run, mad
     assert f"{name} is never called" in failed(run, quick=True)["subprograms"].text
     # And by the program alone.
     (run / CERTIFICATE).unlink()
-    checks = verify(
-        run / "program" / "MAIN.MPF", made[1], validated(RunFolder(run).manifest()["settings"], "x")
-    )
+    checks = verify(run / "program" / "MAIN.MPF", made[1], validated(RunFolder(run).manifest()["settings"], "x"))
     assert [c.name for c in checks if not c.passed] == ["subprograms"]
 
 
-@pytest.mark.parametrize(
-    "name", [".DS_Store", "program/.DS_Store", "layers/Thumbs.db", "signatures/.directory"]
-)
+@pytest.mark.parametrize("name", [".DS_Store", "program/.DS_Store", "layers/Thumbs.db", "signatures/.directory"])
 def test_what_a_file_manager_leaves_is_named_and_ignored(run, name):
     (run / name).parent.mkdir(exist_ok=True)
     (run / name).write_bytes(b"\0")

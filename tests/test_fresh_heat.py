@@ -1,4 +1,4 @@
-"""Fresh heat beside the modes: against integrals, closed forms and converged modes."""
+"""Fresh heat beside the modes: against integrals, closed forms and plain sums."""
 
 from __future__ import annotations
 
@@ -8,18 +8,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import shapely
-from fresh_layers import PLATE, PROFILE, islands_of, times_of
-from island_temperatures import compared
+from islands_of_a_plate import PROFILE, islands_of, times_of
 from scipy.integrate import quad
 from scipy.special import erf
 from scipy.stats import norm
 from shapely import affinity
 
-from ebamcheck.heat import Medium, island_heat
-from ebamcheck.heat.field import Modes, Timetable, surfaces_at_entries
+from ebamcheck.heat import Medium
+from ebamcheck.heat.balance import HeatColumn, LayerShape
+from ebamcheck.heat.field import LEAST, Modes, Timetable, falling, surfaces_at_entries
 from ebamcheck.heat.near_field import (
-    FELT,
+    FAR,
     OPTIONS,
+    between_pieces,
     enclosed_share,
     entry_rise,
     exact_depth,
@@ -27,13 +28,14 @@ from ebamcheck.heat.near_field import (
     line_pieces,
     of_layer,
 )
-from ebamcheck.scan.filling.hatch import Vectors
+from ebamcheck.heat.part_heat import AgedColumns, PartHeat
 from ebamcheck.scan.order.entries import entry_points
+from ebamcheck.settings.config import Config
 
 
 @pytest.fixture(scope="module")
 def choices():
-    return islands_of(PLATE)
+    return islands_of(shapely.box(0, 0, 160, 110))
 
 
 def test_pieces_hold_all_heat_and_follow_the_way(choices):
@@ -52,16 +54,6 @@ def test_pieces_hold_all_heat_and_follow_the_way(choices):
             assert np.hypot(*(latest - schedule.leave[island, option])) <= 2.0 + 1e-9
 
 
-def test_an_island_without_lines_is_one_piece_at_its_centroid():
-    lines = Vectors(np.array([1]), np.array([[0.0, 0.0]]), np.array([[3.0, 0.0]]))
-    pieces = line_pieces(
-        (lines.island, lines.start, lines.end), np.array([[7.0, 8.0], [1.5, 0.0]]), np.array([2.0, 12.0]), 4.0
-    )
-    assert pieces.first.tolist() == [0, 1, 2]
-    assert pieces.place.tolist() == [[7.0, 8.0], [1.5, 0.0]]
-    assert pieces.share.tolist() == [1.0, 1.0]
-
-
 def test_tiles_cover_their_islands_with_the_moments_of_their_areas():
     hexagon = shapely.Polygon([(math.cos(t) * 4, math.sin(t) * 4) for t in np.arange(6) * math.pi / 3])
     square = shapely.box(-3, -3, 3, 3)
@@ -77,23 +69,15 @@ def test_tiles_cover_their_islands_with_the_moments_of_their_areas():
 
 
 def slivers(kind, random):
-    """Polygons hard to cut: needles, tapers between arcs, notched strips, hairs beside holes, and halves of them."""
+    """Polygons hard to cut: needles, notched strips, and what a shift of a polygon leaves of it."""
     thin = 10.0 ** random.uniform(-9, -1)
     if kind == "needle":
         length = 10.0 ** random.uniform(-1, 2)
         body = shapely.Polygon([(0, 0), (length, thin * random.uniform(-1, 1)), (0.7 * length, thin)])
-    elif kind == "taper":
-        disc = shapely.Point(0, 0).buffer(6.0, quad_segs=16)
-        body = disc.difference(
-            shapely.Point(10.0 * thin, 0).buffer(6.0, quad_segs=int(random.integers(8, 33)))
-        )
     elif kind == "strip":
         x = np.sort(random.uniform(0, 10, 40))
         edges = np.c_[x, thin * random.normal(size=40)], np.c_[x[::-1], 0.5 + thin * random.normal(size=40)]
         body = shapely.make_valid(shapely.Polygon(np.concatenate(edges)))
-    elif kind == "hole":
-        holed = shapely.box(0, 0, 8, 8).difference(shapely.box(thin, 1, 7, 8 - thin))
-        body = holed.difference(shapely.Point(7.5, 0.5).buffer(0.5 - thin))
     else:
         whole = shapely.make_valid(shapely.Polygon(random.uniform(0, 10, (7, 2))))
         body = whole.difference(affinity.translate(whole, *(thin * random.normal(size=2))))
@@ -102,7 +86,7 @@ def slivers(kind, random):
     return [p for p in parts if p.geom_type == "Polygon" and p.is_valid and p.area > 0.0]
 
 
-@pytest.mark.parametrize("kind", ["needle", "taper", "strip", "hole", "cut"])
+@pytest.mark.parametrize("kind", ["needle", "strip", "cut"])
 def test_slivers_are_cut_into_tiles_of_their_own_size(kind):
     random = np.random.default_rng(11)
     found = [p for _ in range(60) for p in slivers(kind, random)]
@@ -124,15 +108,6 @@ def test_slivers_are_cut_into_tiles_of_their_own_size(kind):
     wide = shapely.area(islands) > 1e-3 * shapely.length(islands)
     assert (away[wide] < 2e-2 * size[wide]).all()
     assert (away < 2.0 * size + 2e-6).all()
-
-
-def test_a_polygon_that_cannot_be_cut_counts_as_its_hull():
-    # Not valid, so not an island: what a failure of the triangulation would leave.
-    crossed = shapely.Polygon([(0, 0), (6, 4), (0, 4), (6, 0)])
-    tiles = island_tiles(np.array([crossed], object))
-    away2 = ((tiles.place - (3.0, 2.0)) ** 2).sum(axis=1) + 2.0 * tiles.variance
-    assert tiles.share.sum() == pytest.approx(1.0)
-    assert (tiles.share * away2).sum() == pytest.approx((6.0**2 + 4.0**2) / 12.0)
 
 
 def layer_in_half_space(age_s):
@@ -159,32 +134,11 @@ def test_the_share_in_sight_is_exact_on_borders_in_corners_and_in_walls(variance
     points = np.array([[0.001, 0.0], [1.0, 0.0], [2.5, 0.0], [500.0, 0.0]])
     spread = np.full((4, 1), variance)
     # A mean over directions, so rounded by their number.
-    assert enclosed_share(half, points, spread)[:, 0] == pytest.approx(
-        norm.cdf(points[:, 0] / sigma), abs=0.01
-    )
+    assert enclosed_share(half, points, spread)[:, 0] == pytest.approx(norm.cdf(points[:, 0] / sigma), abs=0.01)
     corner = enclosed_share(shapely.box(0, 0, wide, wide), np.array([[1.0, 2.0]]), spread[:1])[0, 0]
     assert corner == pytest.approx(norm.cdf(1.0 / sigma) * norm.cdf(2.0 / sigma), abs=0.02)
     wall = enclosed_share(shapely.box(0, -wide, 3.0, wide), np.array([[1.0, 0.0]]), spread[:1])[0, 0]
     assert wall == pytest.approx(norm.cdf(2.0 / sigma) - norm.cdf(-1.0 / sigma), abs=0.02)
-
-
-def test_an_outline_too_far_away_to_be_felt_changes_nothing():
-    """Not even a bit; what begins where the first may be felt does."""
-    points = np.random.default_rng(2).uniform(0.0, 30.0, (40, 2))
-    spread = np.broadcast_to(np.linspace(0.5, 9.0, 7), (40, 7))
-    felt_mm = math.sqrt(2.0 * FELT * 9.0)
-    along = np.linspace(0.0, 60.0, 900)
-
-    def plate(end_mm):
-        wavy = np.column_stack([end_mm + np.sin(along), along - 15.0])
-        return shapely.Polygon([[-5.0, -15.0], *wavy, [-5.0, 45.0]])
-
-    far, farther, near = (
-        enclosed_share(plate(30.0 + mm), points, spread) for mm in (felt_mm + 2.0, 300.0, 2.0)
-    )
-    assert np.array_equal(far, farther)
-    assert (near <= far).all()
-    assert (near < far).any()
 
 
 @pytest.mark.parametrize("fallen", [0.0, 0.3])
@@ -272,13 +226,42 @@ def test_nothing_passes_a_gap():
     assert abs(points[first_beyond]) < 5.0
 
 
-def test_few_modes_with_fresh_heat_are_within_a_tenth_of_converged_ones(monkeypatch):
-    """As on 2000 islands: one mode for five islands. The whole layer is in reports/scan/islands.md."""
-    monkeypatch.setattr(island_heat, "PLANNING_MODES", 30)
-    config = PROFILE.changed(scan={"hexagon_side_mm": 4.0})
-    table = compared(config, (110.0, 70.0), (1.0, 0.7)).set_index(["order", "model"])
-    error = table["rms_error_over_rms"].unstack()
-    assert error["reference, 1 w"].max() < 0.02
-    assert error["with fresh heat"].max() < 0.1
-    assert (error["with fresh heat"] < 0.6 * error["modes alone"]).all()
-    assert table["error_of_max"].unstack()["with fresh heat"].abs().max() < 0.1
+# -- what makes the heat of a plan fast leaves it what it is ------------------------------------------------
+
+
+def test_a_falling_power_of_e_is_that_of_the_library():
+    exponents = np.concatenate([-np.geomspace(1e-12, -LEAST, 500), [0.0]])
+    found = np.array([falling(float(x)) for x in exponents])
+    assert found == pytest.approx(np.exp(exponents), rel=1e-12, abs=1e-15)
+    assert falling(-1e300) == falling(-np.inf) == pytest.approx(np.exp(LEAST), rel=1e-9)
+
+
+def test_heat_between_islands_is_the_plain_sum_over_their_tiles():
+    random = np.random.default_rng(1)
+    first = np.array([0, 7, 7 + 12, 7 + 12 + 5])
+    place, share = random.uniform(0.0, 40.0, (24, 2)), random.uniform(0.1, 1.0, 24)
+    variance, spread = random.uniform(0.5, 2.0, 24), np.array([0.0, 3.0, 40.0])
+    pairs = np.array([[0, 0], [0, 1], [1, 2]])
+    found = between_pieces(first, place, share, variance, pairs, spread)
+    for (one, other), row in zip(pairs, found, strict=True):
+        a, b = np.arange(first[one], first[one + 1])[:, None], np.arange(first[other], first[other + 1])
+        away = ((place[a] - place[b]) ** 2).sum(axis=-1)[..., None]
+        wide = (variance[a] + variance[b])[..., None] + spread
+        dense = np.where(away > FAR * wide, 0.0, np.exp(-0.5 * away / wide) / (2.0 * np.pi * wide))
+        assert row == pytest.approx(((share[a] * share[b])[..., None] * dense).sum(axis=(0, 1)), rel=1e-12)
+
+
+def test_a_column_after_a_wait_is_worked_out_once_and_is_the_one_waited_for():
+    part, plain = (PartHeat(HeatColumn(Config())) for _ in range(2))
+    for each in (part, plain):
+        each.column.lay(LayerShape(2.0, 900.0, 120.0))
+        each.column.advance(20.0, 8e4)
+    aged = AgedColumns(part.column)
+    assert aged.after(7.5) is aged.after(7.5)
+    assert aged.after(0.0) is part.column
+    found_k = part.bed_k(np.zeros(0), 7.5, None, aged)
+    part.rest(7.5, aged)
+    plain.rest(7.5)
+    assert part.column.content.tobytes() == plain.column.content.tobytes()
+    assert found_k == plain.bed_k(np.zeros(0)) < aged.after(0.0).bed_k
+    assert part.column.radiated_j == plain.column.radiated_j

@@ -73,9 +73,7 @@ def spoiled(made, tmp_path, *edits):
     folder = shutil.copytree(made[0] / "program", tmp_path / "program")
     for pattern, by in edits:
         for file in sorted(folder.iterdir()):
-            text, count = re.subn(
-                pattern, by, file.read_text(), count=0 if pattern == r"\n" else 1, flags=re.MULTILINE
-            )
+            text, count = re.subn(pattern, by, file.read_text(), count=0 if pattern == r"\n" else 1, flags=re.MULTILINE)
             file.write_bytes(text.encode("ascii"))
             if count and pattern != r"\n":
                 break

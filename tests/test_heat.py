@@ -1,4 +1,4 @@
-"""The heat model against closed forms, Green's functions by quadrature, and its own balance of energy."""
+"""The heat model against closed forms, Green's functions by quadrature, eigenvalues and its own balance of energy."""
 
 from __future__ import annotations
 
@@ -14,15 +14,36 @@ from closed_form_heat import (
     base_flow_w,
     radiated_w,
     rectangle_modes,
+    slope_at_base,
 )
-from heat_sections import ALPHA, LINEAR, RING, SHAPES, gauss
 from scipy.optimize import brentq
-from scipy.special import erf
+from scipy.special import erf, jnp_zeros
+from shapely import affinity
 
+from ebamcheck.errors import GeometryError
 from ebamcheck.heat import HeatModel, Medium, contour_modes, depth_modes
 from ebamcheck.heat.medium import STEFAN_BOLTZMANN_W_M2K4
 from ebamcheck.heat.modes import section_grid
 from ebamcheck.settings.config import Config
+
+LINEAR = Medium(conductivity_w_mmk=0.020, heat_capacity_j_mm3k=4300 * 700 * 1e-9)
+ALPHA = LINEAR.diffusivity_mm2_s
+RING = shapely.Point(3, 4).buffer(40, 64).difference(shapely.Point(10, 4).buffer(12, 32))
+SHAPES = {
+    "ring": RING,
+    "turned L": affinity.rotate(shapely.Polygon([(0, 0), (60, 0), (60, 20), (20, 20), (20, 50), (0, 50)]), 27),
+    "two regions": shapely.union_all([shapely.box(0, 0, 40, 30), shapely.Point(80, 10).buffer(17, 32)]),
+    "thin wall": affinity.rotate(shapely.box(0, 0, 120, 1.5), 33),
+    "far away": affinity.translate(RING, 5e4, -5e4),
+}
+
+
+def gauss(low, high, count, panels=1):
+    nodes, weights = np.polynomial.legendre.leggauss(count)
+    edges = np.linspace(low, high, panels + 1)
+    half = 0.5 * np.diff(edges)
+    return ((edges[:-1] + half)[:, None] + half[:, None] * nodes).ravel(), (half[:, None] * weights).ravel()
+
 
 # -- closed forms --------------------------------------------------------------------------------------
 
@@ -32,26 +53,13 @@ def slab(cooled, depth=40.0, layer=0.02, count=400, medium=LINEAR, side=(70.0, 5
     return HeatModel(rectangle_modes(*side, largest), depth_modes(depth, count, cooled, loss), medium, layer)
 
 
-def test_steady_slab_is_flux_times_depth_over_conductivity():
-    model = slab(cooled=True)
-    state = after_source(model, model.cold(), model.plane.integral() / 3500, 3500 * 0.05, 1e7)
-    assert model.at(state, [[20, 20]]) == pytest.approx(0.05 * 40 / 0.020, rel=1e-3)
-
-
-def test_uniform_flux_into_a_half_space():
-    # 2 q sqrt(t / (pi k rho c)) (Carslaw & Jaeger 1959, section 2.9).
-    model = slab(cooled=False, depth=60.0, layer=0.01, count=3000)
-    state = after_source(model, model.cold(), model.plane.integral() / 3500, 3500 * 0.05, 4.0)
-    exact = 2 * 0.05 * math.sqrt(4.0 / (math.pi * 0.020 * LINEAR.heat_capacity_j_mm3k))
-    assert model.at(state, [[20, 20]]) == pytest.approx(exact, rel=2e-3)
-
-
-def test_steady_slab_that_radiates():
-    # q = k T / H + h T
-    medium = Medium(0.020, LINEAR.heat_capacity_j_mm3k, radiation_w_mm2k=3e-4)
+@pytest.mark.parametrize("radiation_w_mm2k", [0.0, 3e-4])
+def test_steady_slab_conducts_and_radiates_its_flux(radiation_w_mm2k):
+    """q = k T / H + h T"""
+    medium = Medium(0.020, LINEAR.heat_capacity_j_mm3k, radiation_w_mm2k=radiation_w_mm2k)
     model = slab(cooled=True, medium=medium)
     state = after_source(model, model.cold(), model.plane.integral() / 3500, 3500 * 0.05, 1e7)
-    assert model.at(state, [[20, 20]]) == pytest.approx(0.05 / (0.020 / 40 + 3e-4), rel=1e-3)
+    assert model.at(state, [[20, 20]]) == pytest.approx(0.05 / (0.020 / 40 + radiation_w_mm2k), rel=1e-3)
 
 
 def test_insulated_slab_that_radiates_cools_at_the_root_of_its_condition():
@@ -61,37 +69,6 @@ def test_insulated_slab_that_radiates_cools_at_the_root_of_its_condition():
     state = after_source(model, model.cold(), model.plane.integral() / 3500, 100.0, 5.0)
     warm = [model.at(model.after(state, t), [[20, 20]])[0] for t in (400.0, 500.0)]
     assert math.log(warm[0] / warm[1]) == pytest.approx(100 * ALPHA * root**2, rel=1e-6)
-
-
-def test_instantaneous_gaussian_on_a_half_space():
-    # E e^(-r^2 / 2 s^2) / (rho c 2 pi s^2 sqrt(pi alpha t)), s^2 = sigma^2 + 2 alpha t
-    model = slab(False, depth=80.0, layer=0.01, count=400, side=(80.0, 80.0), largest=4.0)
-    state = model.after(after_spot(model, model.cold(), [[40, 40]], 500.0, sigma_mm=2.0), 3.0)
-    spread = 4.0 + 2 * ALPHA * 3.0
-    points = np.array([[40, 40], [43, 40], [40, 47], [46, 48]], float)
-    exact = 500 / (LINEAR.heat_capacity_j_mm3k * 2 * math.pi * spread * math.sqrt(math.pi * ALPHA * 3.0))
-    exact = exact * np.exp(-(((points - 40) ** 2).sum(axis=1)) / (2 * spread))
-    assert model.at(state, points) == pytest.approx(exact, rel=1e-5)
-
-
-def test_stationary_gaussian_in_its_centre():
-    # P / (sqrt2 pi^1.5 k sigma) atan(sqrt(2 alpha t) / sigma)
-    model = slab(False, depth=30.0, layer=0.005, count=1500, side=(50.0, 50.0), largest=2.0)
-    centre = [[25.0, 25.0]]
-    shape = np.exp(-0.5 * model.plane.eigenvalue * 9.0) * model.plane.at(centre)[0]
-    state = after_source(model, model.cold(), shape, 1000.0, 3.0)
-    exact = 1000 / (math.sqrt(2) * math.pi**1.5 * 0.020 * 3.0) * math.atan(math.sqrt(2 * ALPHA * 3.0) / 3.0)
-    assert model.at(state, centre) == pytest.approx(exact, rel=5e-3)
-
-
-def test_a_long_line_tends_to_rosenthal():
-    # P / (2 pi k R) e^(-v (xi + R) / 2 alpha), behind and beside a source that has long moved.
-    model = slab(False, depth=30.0, layer=0.5, count=120, side=(90.0, 60.0), largest=9.0)
-    state = after_line(model, model.cold(), [5, 30], [75, 30], 500.0, 14.0, sigma_mm=0.8)
-    offsets = np.array([[-9.0, 0.0], [-12.0, 3.0], [-8.0, 5.0]])
-    distance = np.hypot(*offsets.T)
-    exact = 500 / (2 * math.pi * 0.020 * distance) * np.exp(-5.0 * (offsets[:, 0] + distance) / (2 * ALPHA))
-    assert model.at(state, np.array([75, 30]) + offsets) == pytest.approx(exact, rel=0.03)
 
 
 # -- a moving source against Green's functions ---------------------------------------------------------
@@ -137,7 +114,7 @@ def by_quadrature(points, below, time, cooled):
     return POWER / LINEAR.heat_capacity_j_mm3k * result
 
 
-@pytest.mark.parametrize("cooled", [True, False])
+@pytest.mark.parametrize("cooled", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_a_moving_source_is_within_a_twentieth_of_a_kelvin_at_300_points_and_5_times(cooled):
     plane = rectangle_modes(WIDTH, HEIGHT, 6.0)
     model = HeatModel(plane, depth_modes(DEPTH, 150, cooled), LINEAR, LAYER)
@@ -150,41 +127,6 @@ def test_a_moving_source_is_within_a_twentieth_of_a_kelvin_at_300_points_and_5_t
         exact = by_quadrature(points, 0.7, time, cooled)
         assert np.abs(model.at(state, points, 0.7) - exact).max() < 0.05
         assert exact.max() > 10.0
-
-
-def test_lines_on_a_contour_converge_to_those_on_a_rectangle():
-    points = np.random.default_rng(1).uniform([4, 4], [WIDTH - 4, HEIGHT - 4], (100, 2))
-    depth = depth_modes(DEPTH, 40, True)
-    exact = HeatModel(rectangle_modes(WIDTH, HEIGHT, 2.0), depth, LINEAR, LAYER)
-    state = after_line(exact, exact.cold(), *LINE, POWER, DURATION, SIGMA)
-    right = exact.at(exact.after(state, 2.0), points)
-    worst = []
-    for largest, most in ((0.15, 400), (0.6, 400)):
-        found = HeatModel(
-            contour_modes(shapely.box(0, 0, WIDTH, HEIGHT), largest, most), depth, LINEAR, LAYER
-        )
-        state = after_line(found, found.cold(), *LINE, POWER, DURATION, SIGMA)
-        worst.append(np.abs(found.at(found.after(state, 2.0), points) - right).max() / right.max())
-    assert worst[1] < 0.01
-    assert worst[0] > 2.5 * worst[1]
-
-
-def test_temperatures_converge_with_the_modes():
-    points = np.random.default_rng(2).uniform([2, 2], [WIDTH - 2, HEIGHT - 2], (100, 2))
-
-    def warm(largest, waves):
-        model = HeatModel(
-            rectangle_modes(WIDTH, HEIGHT, largest), depth_modes(DEPTH, waves, True), LINEAR, LAYER
-        )
-        state = after_line(model, model.cold(), *LINE, POWER, DURATION, SIGMA)
-        return model.at(model.after(state, 0.5), points)
-
-    right = warm(12.0, 200)
-    errors = [
-        np.abs(warm(largest, waves) - right).max() for largest, waves in ((0.3, 8), (0.8, 12), (2.0, 20))
-    ]
-    assert errors[0] > 2.0 * errors[1] > 4.0 * errors[2]
-    assert errors[2] < 0.02 * right.max()
 
 
 def test_a_cubic_field_is_read_exactly_inside_and_nearly_at_the_border():
@@ -202,15 +144,6 @@ def test_a_cubic_field_is_read_exactly_inside_and_nearly_at_the_border():
     error = np.abs(grid.interpolation(points) @ cubic(centre) - cubic(points))
     assert error[deep].max() < 1e-12
     assert error.max() < 0.1
-
-
-def test_a_line_in_pieces_is_the_line():
-    plane = contour_modes(RING, 0.3, 200)
-    model = HeatModel(plane, depth_modes(DEPTH, 10, True), LINEAR, LAYER)
-    whole = after_line(model, model.cold(), [-20, -10], [20, -14], POWER, 4.0, piece_mm=0.05)
-    first = after_line(model, model.cold(), [-20, -10], [0, -12], POWER, 2.0, piece_mm=0.05)
-    both = after_line(model, first, [0, -12], [20, -14], POWER, 2.0, piece_mm=0.05)
-    assert both == pytest.approx(whole, abs=1e-6 * np.abs(whole).max())
 
 
 # -- energy --------------------------------------------------------------------------------------------
@@ -248,18 +181,6 @@ def test_what_is_stored_is_what_came_in_less_what_left(cooled):
     assert surface > 0
 
 
-def test_steps_of_any_length_agree():
-    model = HeatModel(contour_modes(RING, 0.1, 200), depth_modes(20.0, 12, True), LINEAR, LAYER)
-    shape = model.plane.at([[-20.0, 4.0]])[0]
-    once = model.after(after_source(model, model.cold(), shape, 100.0, 6.0), 900.0)
-    state = model.cold()
-    for _ in range(12):
-        state = after_source(model, state, shape, 100.0, 0.5)
-    for _ in range(30):
-        state = model.after(state, 30.0)
-    assert state == pytest.approx(once, rel=1e-9, abs=1e-15)
-
-
 def test_mean_of_an_island_is_that_of_its_points():
     model = HeatModel(contour_modes(RING, 0.4, 400), depth_modes(20.0, 12, True), LINEAR, LAYER)
     island = shapely.box(-24, -3, -12, 9)
@@ -294,3 +215,122 @@ def test_a_hair_and_many_specks_have_modes_at_once():
     )
     found = contour_modes(specks, (2 * math.pi / 3) ** 2, 300)
     assert np.count_nonzero(found.eigenvalue == 0.0) == 400
+
+
+# -- cells ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_cells_have_the_area_that_shapely_cuts(name):
+    section = SHAPES[name]
+    grid = section_grid(list(shapely.get_parts(section)), 3.7)
+    rows, columns = grid.number.shape
+    x, y = np.meshgrid(np.arange(columns), np.arange(rows))
+    x0, y0 = grid.origin[0] + x * grid.step[0], grid.origin[1] + y * grid.step[1]
+    exact = shapely.area(shapely.intersection(shapely.box(x0, y0, x0 + grid.step[0], y0 + grid.step[1]), section))
+    inside = grid.number >= 0
+    assert grid.area_mm2 == pytest.approx(exact[inside], abs=1e-6 * grid.step.prod())
+    assert exact[~inside].max(initial=0.0) < 1e-5 * grid.step.prod()
+    assert grid.area_mm2.sum() == pytest.approx(section.area, rel=1e-7)
+
+
+def test_faces_have_the_length_that_shapely_cuts():
+    section = SHAPES["ring"]
+    grid = section_grid([section], 5.3)
+    coupling = grid.coupling.toarray()
+    for row, column in ((3, 2), (7, 7), (9, 4), (0, 6), (11, 11)):
+        here, right = grid.number[row, column], grid.number[row, column + 1]
+        if here < 0 or right < 0:
+            continue
+        x = grid.origin[0] + (column + 1) * grid.step[0]
+        y = grid.origin[1] + np.array([row, row + 1]) * grid.step[1]
+        length = shapely.LineString([(x, y[0]), (x, y[1])]).intersection(section).length
+        assert -coupling[here, right] == pytest.approx(length / grid.step[0], abs=1e-9)
+    assert np.abs(coupling.sum(axis=1)).max() < 1e-12
+    assert np.array_equal(coupling, coupling.T)
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_shares_of_islands_are_their_areas(name):
+    section = SHAPES[name]
+    grid = section_grid(list(shapely.get_parts(section)), 2.9)
+    x0, y0, x1, y1 = section.bounds
+    tiles = [shapely.box(x, y, x + 11, y + 7) for x in np.arange(x0, x1, 11) for y in np.arange(y0, y1, 7)]
+    pieces = shapely.get_parts(shapely.intersection(np.array(tiles), section))
+    islands = pieces[shapely.area(pieces) > 1e-3]
+    shares = grid.island_shares(islands)
+    assert np.asarray(shares.sum(axis=1)).ravel() == pytest.approx(1.0)
+    assert shapely.area(islands) @ shares == pytest.approx(grid.area_mm2, rel=1e-3, abs=1e-3)
+
+
+# -- eigenvalues ---------------------------------------------------------------------------------------
+
+
+def test_eigenvalues_of_a_rectangle_converge_with_the_mesh():
+    box = shapely.box(-10, 5, 50, 45)
+    exact = rectangle_modes(60, 40, 0.5).eigenvalue[:40]
+    errors = []
+    for largest in (0.2, 0.8):
+        found = contour_modes(box, largest, 400)
+        errors.append(np.abs(found.eigenvalue[1:40] / exact[1:] - 1).max())
+    assert errors[1] < 0.012
+    assert errors[0] / errors[1] > 3.0, "second order: half the step, a quarter of the error"
+
+
+def test_eigenvalues_of_a_disc_are_zeros_of_bessel_derivatives():
+    radius = 30.0
+    exact = np.concatenate([[0.0], jnp_zeros(0, 6)])
+    exact = np.sort(np.concatenate([exact, *(np.repeat(jnp_zeros(m, 6), 2) for m in range(1, 15))]))[:30]
+    found = contour_modes(shapely.Point(0, 0).buffer(radius, 128), 1.2, 40)
+    assert found.eigenvalue[1:30] == pytest.approx((exact[1:] / radius) ** 2, rel=0.012)
+
+
+def test_eigenvalues_do_not_hang_on_how_the_section_lies():
+    turned = affinity.rotate(shapely.box(0, 0, 60, 40), 31)
+    exact = rectangle_modes(60, 40, 0.5).eigenvalue[1:25]
+    assert contour_modes(turned, 0.8, 40).eigenvalue[1:25] == pytest.approx(exact, rel=0.02)
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_modes_are_orthonormal_and_one_of_each_region_is_constant(name):
+    section = SHAPES[name]
+    found = contour_modes(section, 0.1, 300)
+    gram = found.values.T @ (found.grid.area_mm2[:, None] * found.values)
+    assert gram == pytest.approx(np.eye(len(gram)), abs=1e-9)
+    regions = len(shapely.get_parts(section))
+    assert np.count_nonzero(found.eigenvalue == 0.0) == regions
+    assert np.sort(np.abs(found.integral()))[:-regions].max(initial=0.0) < 1e-9
+    assert (np.diff(found.eigenvalue) >= 0).all()
+
+
+def test_as_many_modes_as_weyl_says_and_no_more_than_asked_for():
+    found = contour_modes(RING, 0.3, 1000)
+    weyl = RING.area * 0.3 / (4 * math.pi) + RING.length * math.sqrt(0.3) / (4 * math.pi)
+    assert len(found.eigenvalue) == pytest.approx(weyl, rel=0.1)
+    assert len(contour_modes(RING, 0.3, 50).eigenvalue) <= 50
+
+
+def test_no_section_is_refused():
+    with pytest.raises(GeometryError, match="without area"):
+        contour_modes(shapely.Polygon(), 0.1, 10)
+
+
+# -- depth ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("cooled", [True, False])
+@pytest.mark.parametrize("loss", [0.0, 1e-6, 0.01, 3.0])
+def test_depth_modes_are_orthonormal_and_meet_their_conditions(cooled, loss):
+    found = depth_modes(12.0, 9, cooled, loss)
+    z, weight = gauss(0, 12, 60, 4)
+    modes = found.at(z)
+    assert modes.T @ (weight[:, None] * modes) == pytest.approx(np.eye(9), abs=1e-9)
+    assert found.integral() == pytest.approx(weight @ modes, abs=1e-9)
+    layer, share = gauss(0, 1.7, 20)
+    assert found.mean_of_layer(1.7) == pytest.approx(share @ found.at(layer) / 1.7, abs=1e-9)
+    # Slope at the surface, downwards, is the loss; at the base it is given or the value is zero.
+    slope = (found.at(1e-6) - found.at(0.0)) / 1e-6
+    assert slope == pytest.approx(loss * found.at(0.0), abs=1e-4)
+    assert slope_at_base(found) == pytest.approx((found.at(12 - 1e-6) - found.at(12.0)) / 1e-6, abs=1e-4)
+    if cooled:
+        assert found.at(12.0) == pytest.approx(0.0, abs=1e-12)

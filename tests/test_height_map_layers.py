@@ -39,9 +39,7 @@ def laid_on(maker, metal, z, tmp_path, mended):
     return program, deposit(program, sections, np.array([5.1]), made.config, stands=truth), made
 
 
-def test_wire_follows_the_local_thickness_along_the_beads_and_the_surface_gets_flatter(
-    maker, metal, tmp_path
-):
+def test_wire_follows_the_local_thickness_along_the_beads_and_the_surface_gets_flatter(maker, metal, tmp_path):
     z = surface_of(3.4, 0.7, (14.0, 18.0), 5.0)
     known, true_known, made = laid_on(maker, metal, z, tmp_path, 1.0)
     blind, true_blind, _ = laid_on(maker, metal, z, tmp_path, None)
@@ -57,18 +55,14 @@ def test_wire_follows_the_local_thickness_along_the_beads_and_the_surface_gets_f
     assert wire_at(known, 34.0, 28.0) > wire_at(blind, 34.0, 28.0)
     # Along one hatch line it changes, too.
     lines = np.flatnonzero(known.deposit & known.wire)
-    assert len(np.unique(known.wire_mm_s[lines])) > 1.5 * len(
-        np.unique(blind.wire_mm_s[blind.deposit & blind.wire])
-    )
+    assert len(np.unique(known.wire_mm_s[lines])) > 1.5 * len(np.unique(blind.wire_mm_s[blind.deposit & blind.wire]))
     process = maker.config.process
     assert (known.wire_mm_s[lines] <= process.wire_speed_max_mm_s + 1e-9).all()
     assert (known.wire_mm_s[lines] >= process.wire_speed_min_mm_s - 1e-9).all()
     off = [max(t.layers["high_mm"].iloc[0], t.layers["low_mm"].iloc[0]) for t in (true_known, true_blind)]
     assert off[0] < 0.8 * off[1]
     # The mass stays that of the layer: metal is moved, and none is made.
-    assert true_known.layers["laid_mm3"].iloc[0] == pytest.approx(
-        true_blind.layers["laid_mm3"].iloc[0], rel=0.04
-    )
+    assert true_known.layers["laid_mm3"].iloc[0] == pytest.approx(true_blind.layers["laid_mm3"].iloc[0], rel=0.04)
     assert made.after.surface is not None
     assert not made.after.surface.mapped
 
@@ -76,9 +70,7 @@ def test_wire_follows_the_local_thickness_along_the_beads_and_the_surface_gets_f
 def test_a_level_map_changes_nothing_but_the_height(maker, metal, tmp_path):
     known, _, _ = laid_on(maker, metal, surface_of(3.4), tmp_path, 0.3)
     blind, _, _ = laid_on(maker, metal, surface_of(3.4), tmp_path, None)
-    total = [
-        float((p.wire_mm_s * p.lengths / p.feed_mm_min)[p.deposit & p.wire].sum()) for p in (known, blind)
-    ]
+    total = [float((p.wire_mm_s * p.lengths / p.feed_mm_min)[p.deposit & p.wire].sum()) for p in (known, blind)]
     assert total[0] == pytest.approx(total[1], rel=0.01)
 
 

@@ -72,9 +72,7 @@ def test_a_clamp_near_the_path_is_met_by_the_head(parts, tmp_path):
     clamp = {"name": "clamp", "outline_mm": ((-30, 5), (-12, 5), (-12, 25), (-30, 25)), "z_mm": (0.0, 30.0)}
     for above, passed in ((15.0, False), (29.0, True)):
         part = parts("cube").by(process={"keep_out": (clamp,)}, machine={"head_above_tip_mm": above})
-        found = checks_of(written(part, "linuxcnc", tmp_path / f"p{above}"), part, "linuxcnc", False)[
-            "collision"
-        ]
+        found = checks_of(written(part, "linuxcnc", tmp_path / f"p{above}"), part, "linuxcnc", False)["collision"]
         assert found.passed == passed, found.text
         if not passed:
             assert "the head goes" in found.text

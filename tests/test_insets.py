@@ -2,33 +2,25 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 import shapely
 import shapely.affinity
 
-from ebamcheck.checks.metal import _reaches_mm
 from ebamcheck.geometry.regions import eroded, is_inset, valid_polygons
-from ebamcheck.metal import target_of
 from ebamcheck.nc.roles import depth_lines, inside
 
 LOST = shapely.Polygon(
     [(-1.81, 8.08), (-0.44, 1.97), (0.51, 0.07), (37.85, 4.92), (39.55, 6.09), (38.77, 7.69), (-0.28, 8.76)]
 )
 """A bar whose inset by 3 mm GEOS 3.14.1 loses: it takes the seven moved sides for turned over."""
-DUMBBELL = shapely.union_all(
-    [shapely.box(0, 0, 20, 20), shapely.box(19, 8, 41, 12), shapely.box(40, 4, 52, 16)]
-)
+DUMBBELL = shapely.union_all([shapely.box(0, 0, 20, 20), shapely.box(19, 8, 41, 12), shapely.box(40, 4, 52, 16)])
 SHAPES = {
     "bar": LOST,
     "dumbbell": DUMBBELL,
     "ring": shapely.Point(0, 0).buffer(30, 64).difference(shapely.Point(4, 0).buffer(9, 32)),
     "two": shapely.union_all([shapely.box(0, 0, 20, 10), shapely.Point(50, 5).buffer(12, 16)]),
-    "holes": shapely.box(0, 0, 90, 60).difference(
-        shapely.MultiPoint([(20, 20), (60, 25), (45, 45)]).buffer(8)
-    ),
+    "holes": shapely.box(0, 0, 90, 60).difference(shapely.MultiPoint([(20, 20), (60, 25), (45, 45)]).buffer(8)),
 }
 
 
@@ -67,9 +59,7 @@ def test_insets_of_chance_polygons_are_those_of_their_sides():
 
 
 @pytest.mark.parametrize("name", SHAPES)
-@pytest.mark.parametrize(
-    ("share", "good"), [(0.97, False), (0.995, True), (1.0, True), (1.005, True), (1.05, False)]
-)
+@pytest.mark.parametrize(("share", "good"), [(0.97, False), (0.995, True), (1.0, True), (1.005, True), (1.05, False)])
 def test_an_inset_by_another_distance_is_none(name, share, good):
     assert is_inset(by_sides(SHAPES[name], 3.0 * share), SHAPES[name], 3.0) == good
 
@@ -93,9 +83,7 @@ def test_an_inset_that_lacks_a_piece_or_lies_elsewhere_is_none():
 def test_a_border_that_folds_back_on_itself_within_rounding_has_an_inset(fold_mm, distance_mm):
     """A side of the hole runs there, back and there again, as the union of bodies that touch leaves it."""
     hole = [(5, 5), (15, 5), (15, 14), (15 + fold_mm, 7), (15 + 2.0 * fold_mm, 14.5), (15, 15), (5, 15)]
-    plate = shapely.affinity.rotate(
-        shapely.Polygon(shapely.box(0, 0, 40, 30).exterior, [hole]), 32.05, origin=(0, 0)
-    )
+    plate = shapely.affinity.rotate(shapely.Polygon(shapely.box(0, 0, 40, 30).exterior, [hole]), 32.05, origin=(0, 0))
     whole = by_sides(plate, distance_mm)
     assert is_inset(whole, plate, distance_mm)
     assert shapely.symmetric_difference(eroded(plate, distance_mm), whole).area < 1e-2 * distance_mm
@@ -120,20 +108,6 @@ def test_lines_of_one_depth_are_the_border_of_the_inset(name):
     drawn = shapely.multilinestrings(shapely.linestrings(lines.reshape(-1, 2, 2)))
     assert shapely.distance(drawn, places).max() <= 0.05
     assert shapely.distance(border, shapely.points(lines.reshape(-1, 2))).max() <= 0.05
-
-
-def test_without_a_place_that_deep_there_is_no_line():
-    assert not len(depth_lines(shapely.box(0, 0, 40, 5.9), 3.0))
-    assert not len(depth_lines(shapely.Polygon(), 3.0))
-
-
-def test_metal_reaches_a_number_of_millimetres_beside_a_wall_thinner_than_a_cell():
-    wall = shapely.box(0.3, 0.0, 0.6, 20.0)
-    target = target_of(wall, 1.0, 4.0)
-    film = np.ones(target.share.shape, np.bool_)
-    reach = _reaches_mm(film, target.share >= 0.5, wall, target)
-    assert np.isfinite(reach).all()
-    assert 3.0 < reach.max() < 4.0 * math.sqrt(2.0) + 1.5
 
 
 @pytest.mark.parametrize("name", SHAPES)

@@ -99,14 +99,10 @@ def test_counts_of_the_corpus(corpus: Path):
         part = ebamcheck.load(corpus / row["file"])
         found = inspect(part)
         counted = (found.facets, found.open_edges, found.nonmanifold_edges, found.degenerate_facets)
-        expected = tuple(
-            int(row[k]) for k in ("facets", "open_edges", "nonmanifold_edges", "degenerate_facets")
-        )
+        expected = tuple(int(row[k]) for k in ("facets", "open_edges", "nonmanifold_edges", "degenerate_facets"))
         assert counted == expected, row["file"]
         if row["winding_consistent_trimesh"] == "True" and not found.open_edges:
-            assert part.signed_volume == pytest.approx(float(row["signed_volume"]), rel=1e-5, abs=1e-6), row[
-                "file"
-            ]
+            assert part.signed_volume == pytest.approx(float(row["signed_volume"]), rel=1e-5, abs=1e-6), row["file"]
         if row["class"] == "good":
             assert found.passed, row["file"]
         if found.open_edges:

@@ -82,9 +82,7 @@ def test_the_least_power_is_an_energy_balance_of_the_pool():
     metal_kg_s = 1e-9 * material.density_kg_m3 * 10.0 * process.hatch_spacing_mm * CONFIG.layer_height_mm
     power_w = 2.0 * metal_kg_s * heat / 0.37 / material.absorptivity
     assert least_power_share(CONFIG) == pytest.approx(power_w / process.power_w, rel=2e-3)
-    assert least_power_share(CONFIG, 2.0) == pytest.approx(
-        2.0 / CONFIG.layer_height_mm * least_power_share(CONFIG)
-    )
+    assert least_power_share(CONFIG, 2.0) == pytest.approx(2.0 / CONFIG.layer_height_mm * least_power_share(CONFIG))
     # Too little for the pool, enough for the wire; then too little for that.
     assert least_power_share(CONFIG, 6.0) == 1.0
     assert least_power_share(CONFIG, 50.0) > 5.0

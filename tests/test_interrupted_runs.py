@@ -93,9 +93,7 @@ def killed_and_resumed(job, folder, kills, seed):
         )  # fmt: skip
     assert killed, "not one of the runs was killed"
     for k in range(0, kills, 3):
-        done = ebamcheck(
-            job, "part.stl", "-o", f"{k // 3}.run", "--resume", cwd=folder, TMPDIR=str(temporary)
-        )
+        done = ebamcheck(job, "part.stl", "-o", f"{k // 3}.run", "--resume", cwd=folder, TMPDIR=str(temporary))
         assert done.returncode == 0, done.stdout + done.stderr
         assert whole(folder / f"{k // 3}.run") == sound
     assert list(temporary.iterdir()) == []

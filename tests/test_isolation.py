@@ -107,9 +107,7 @@ def test_a_failing_backend_leaves_nothing_half_written(plugins, tmp_path):
     target = tmp_path / "layers"
     target.mkdir()
     settings = {"troubled": registry.slicer_settings("troubled", {"trouble": "stop"})}
-    outcome = slice_all(box(), HEIGHTS, settings, target, Limits(time_s=4.0), borders=np.array([0, 20, 40]))[
-        "troubled"
-    ]
+    outcome = slice_all(box(), HEIGHTS, settings, target, Limits(time_s=4.0), borders=np.array([0, 20, 40]))["troubled"]
     assert (outcome.failure, outcome.file) == ("timed out", None)
     assert list(target.iterdir()) == []
 

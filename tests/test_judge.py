@@ -135,9 +135,7 @@ def test_temperatures_of_other_places_are_refused(tmp_path, monkeypatch):
     places, owner = np.array([[1.0, 2.0, 1.6]]), np.zeros(1, np.int64)
 
     def rise(shift, kelvin):
-        stand_in(
-            tmp_path, monkeypatch, moved.replace("SHIFT", str(shift)).replace("TEMPERATURE", str(kelvin))
-        )
+        stand_in(tmp_path, monkeypatch, moved.replace("SHIFT", str(shift)).replace("TEMPERATURE", str(kelvin)))
         return rises_k(path, Config(), np.array([0.5]), owner, places)
 
     assert rise(0.0, 300.0) == pytest.approx([6.85])
@@ -147,9 +145,7 @@ def test_temperatures_of_other_places_are_refused(tmp_path, monkeypatch):
         rise(0.0, 203.15)
 
 
-def test_where_it_is_missing_the_case_is_written_and_one_line_says_how_to_get_it(
-    plate_run, tmp_path, monkeypatch
-):
+def test_where_it_is_missing_the_case_is_written_and_one_line_says_how_to_get_it(plate_run, tmp_path, monkeypatch):
     monkeypatch.setenv(THESIS.variable, str(tmp_path / "nothing"))
     code, output = judge(plate_run, "--layer", 2, "-o", tmp_path / "out")
     assert code == ExitCode.BACKEND_MISSING == 4

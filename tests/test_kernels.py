@@ -73,9 +73,7 @@ def test_a_change_of_a_kernel_or_constant_below_compiles_anew(package):
 
 
 @pytest.mark.slow
-def test_kernels_find_a_place_where_the_home_cannot_be_written_and_none_that_others_may_write(
-    package, tmp_path
-):
+def test_kernels_find_a_place_where_the_home_cannot_be_written_and_none_that_others_may_write(package, tmp_path):
     (tmp_path / "temporary").mkdir()
     blocked = {
         "HOME": os.devnull,

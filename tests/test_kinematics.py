@@ -131,9 +131,7 @@ def test_a_straight_line_takes_the_time_of_the_s_curve(speed):
 
 def test_a_diagonal_has_the_acceleration_of_both_axes():
     straight, diagonal = (open_path([(0, 0), to], settings(20.0)) for to in ((90, 0), (90, 90)))
-    assert diagonal.cells.acceleration_mm_s2[0] == pytest.approx(
-        math.sqrt(2) * straight.cells.acceleration_mm_s2[0]
-    )
+    assert diagonal.cells.acceleration_mm_s2[0] == pytest.approx(math.sqrt(2) * straight.cells.acceleration_mm_s2[0])
     config = settings(20.0).changed(kinematics={"axis_speed_mm_s": (200.0, 3.0, 200.0)})
     assert open_path([(0, 0), (90, 90)], config).top[0] == pytest.approx(3.0 * math.sqrt(2))
 
@@ -239,9 +237,7 @@ def test_lengths_and_limits_scaled_alike_leave_the_time(scale):
         }
         | {"speed_jump_mm_s": axes.speed_jump_mm_s * scale},
     )
-    assert open_path(points * scale, scaled).total_s == pytest.approx(
-        open_path(points, base).total_s, rel=1e-9
-    )
+    assert open_path(points * scale, scaled).total_s == pytest.approx(open_path(points, base).total_s, rel=1e-9)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -270,9 +266,7 @@ def test_ramps_meet_and_keep_within_their_cells(seed):
     assert profile.entry[0] == profile.exit[-1] == 0.0
     for c in range(len(profile.top)):
         a, j = cells.acceleration_mm_s2[c], cells.jerk_mm_s3[c]
-        used = ramp_length(profile.entry[c], profile.top[c], a, j) + ramp_length(
-            profile.exit[c], profile.top[c], a, j
-        )
+        used = ramp_length(profile.entry[c], profile.top[c], a, j) + ramp_length(profile.exit[c], profile.top[c], a, j)
         assert used <= cells.length_mm[c] * (1 + 1e-9) + 1e-12
         assert max(profile.entry[c], profile.exit[c]) <= profile.top[c] * (1 + 1e-12)
 

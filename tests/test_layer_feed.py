@@ -231,9 +231,7 @@ def on_a_tilt(found, config, thickness_mm, folder):
             laid = deposit(nc, sections, np.array([wanted.top_mm]), layer.config, stands=under.surface)
             over = laid.surface.over_mm(target)[row, column]
             left = np.linalg.lstsq(places, over, rcond=None)[0][0]
-            made.append(
-                (layer.config.process.travel_speed_mm_s, float(laid.layers["laid_mm3"].iloc[0]), left / TILT)
-            )
+            made.append((layer.config.process.travel_speed_mm_s, float(laid.layers["laid_mm3"].iloc[0]), left / TILT))
     return made
 
 

@@ -122,9 +122,7 @@ def with_nan(batch):
 
 
 CASES = {
-    "version '2'": lambda b: b.replace_schema_metadata(
-        {**b.schema.metadata, b"ebamcheck.layers.version": b"2"}
-    ),
+    "version '2'": lambda b: b.replace_schema_metadata({**b.schema.metadata, b"ebamcheck.layers.version": b"2"}),
     "no version": lambda b: b.replace_schema_metadata(None),
     "labels": lambda b: b.replace_schema_metadata({b"ebamcheck.layers.version": b"1"}),
     "'closed' is missing": lambda b: b.drop_columns(["closed"]),
@@ -133,9 +131,7 @@ CASES = {
     "height of layer 3 is nan": with_nan,
     "column 'y' does not have the rings": lambda b: with_column(b, "y", pa.array([[]] * 5, b["y"].type)),
     "empty cells": lambda b: with_column(b, "x", pa.array([None] * 5, b["x"].type)),
-    "'closed' does not have one entry": lambda b: with_column(
-        b, "closed", pa.array([[]] * 5, b["closed"].type)
-    ),
+    "'closed' does not have one entry": lambda b: with_column(b, "closed", pa.array([[]] * 5, b["closed"].type)),
 }
 
 

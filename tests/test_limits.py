@@ -145,17 +145,10 @@ def constants(folder):
             if target is None or value is None:
                 continue
             numbers = [
-                x.value
-                for x in ast.walk(value)
-                if isinstance(x, ast.Constant) and type(x.value) in (int, float)
+                x.value for x in ast.walk(value) if isinstance(x, ast.Constant) and type(x.value) in (int, float)
             ]
             for name in target.elts if isinstance(target, ast.Tuple) else [target]:
-                if (
-                    isinstance(name, ast.Name)
-                    and name.id.isupper()
-                    and not name.id.startswith("_")
-                    and numbers
-                ):
+                if isinstance(name, ast.Name) and name.id.isupper() and not name.id.startswith("_") and numbers:
                     yield f"{path.stem}.{name.id}"
 
 
@@ -163,9 +156,7 @@ def test_every_constant_of_the_checks_has_its_two_cases_or_is_no_limit():
     known = {name for room in ("checks", "pipeline", "record", "verification") for name in constants(room)}
     listed = {name for names in NO_LIMITS.values() for name in names.split()}
     cased = {name for case in CASES for name in case.limits}
-    assert known - listed - cased == set(), (
-        "give each a row in limits_of_*.py, or tell in NO_LIMITS why it is none"
-    )
+    assert known - listed - cased == set(), "give each a row in limits_of_*.py, or tell in NO_LIMITS why it is none"
     assert listed - known == set(), "no constant of that name"
     assert listed & cased == set(), "is a limit"
 
@@ -201,9 +192,7 @@ def known():
 
 
 def test_no_check_has_two_rows():
-    assert [
-        name for name, count in Counter(n for rule in RULES for n in rule.checks).items() if count > 1
-    ] == []
+    assert [name for name, count in Counter(n for rule in RULES for n in rule.checks).items() if count > 1] == []
 
 
 def test_a_row_makes_the_checks_that_it_names_in_their_order(known):
@@ -213,14 +202,9 @@ def test_a_row_makes_the_checks_that_it_names_in_their_order(known):
             assert made == [name for name in rule.checks if name in made]
 
 
-@pytest.mark.parametrize(
-    "need", sorted({need for rule in RULES for need in rule.needs} - {"part", "heights"})
-)
+@pytest.mark.parametrize("need", sorted({need for rule in RULES for need in rule.needs} - {"part", "heights"}))
 def test_what_is_not_known_is_not_checked(known, need):
-    if need in known.asked:
-        less = replace(known, asked=known.asked - {need})
-    else:
-        less = replace(known, **{need: None})
+    less = replace(known, asked=known.asked - {need}) if need in known.asked else replace(known, **{need: None})
     without = {name for rule in RULES if need in rule.needs for name in rule.checks}
     assert without & {check.name for check in checks_on(known)}
     assert not without & {check.name for check in checks_on(less)}

@@ -195,8 +195,7 @@ def test_every_bad_height_on_a_control_is_refused_and_releases_nothing(maker, tm
             at["done"] = 1.0
             # What no variable holds, `missing`, is one that is no number there.
             heights = [
-                (math.nan if h is None else h, code.replace("missing", "not-a-number"))
-                for h, code in HEIGHTS.values()
+                (math.nan if h is None else h, code.replace("missing", "not-a-number")) for h, code in HEIGHTS.values()
             ]
             for height, code, measured in [*((*one, 1.0) for one in heights), (1.8, "counter-jump", 3.0)]:
                 told.clear()

@@ -91,9 +91,7 @@ class Impatient(Building):
 @pytest.mark.parametrize(
     ("server", "found"), [(Building, ""), (Forgetful, "heat"), (Impatient, "heat"), (Levelled, "metal")]
 )
-def test_verify_follows_heat_and_metal_over_all_layers(
-    server, found, monkeypatch, tmp_path_factory, tmp_path
-):
+def test_verify_follows_heat_and_metal_over_all_layers(server, found, monkeypatch, tmp_path_factory, tmp_path):
     # A server that looks at it itself releases no such layer (test_live_made_wrong.py).
     monkeypatch.setattr(building_module, "FollowedLayers", Blind)
     place = run_of_box(tmp_path_factory, (30, 24, 12))
@@ -194,9 +192,7 @@ def judged(single, height, below, tolerance):
     layer, section, config = single
     config = config.changed(process={"inside_tolerance": tolerance})
     found = deposit(layer, section, np.array([config.base_mm + height]), config)
-    return {check.name: check for check in deposit_checks(layer, found, config, below)}[
-        "height inside"
-    ], found
+    return {check.name: check for check in deposit_checks(layer, found, config, below)}["height inside"], found
 
 
 def test_a_layer_is_judged_by_its_own_limit_and_by_the_mean_of_all(stack):

@@ -68,9 +68,7 @@ def cut_at_the_bottom(monkeypatch):
 
     def wrong(self, wanted, *given):
         config, cut_mm = right(self, wanted, *given), self.bottom_mm + wanted.base_mm + 1e-3
-        return config.model_copy(
-            update={"layers": config.layers.model_copy(update={"heights_mm": (cut_mm,)})}
-        )
+        return config.model_copy(update={"layers": config.layers.model_copy(update={"heights_mm": (cut_mm,)})})
 
     monkeypatch.setattr(LayerMaker, "config_of", wrong)
 

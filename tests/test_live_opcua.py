@@ -144,9 +144,7 @@ async def test_a_count_of_the_height_that_is_one_behind_is_told_at_once(maker, t
 
 
 @of_its_own_loop
-async def test_a_layer_that_is_kept_back_is_told_once_and_tried_less_and_less_often(
-    maker, tmp_path, monkeypatch
-):
+async def test_a_layer_that_is_kept_back_is_told_once_and_tried_less_and_less_often(maker, tmp_path, monkeypatch):
     tries = []
 
     opcua = on_a_desk(longest_retry_s=30.0)

@@ -53,9 +53,7 @@ def test_nobody_writes_without_certificate_and_user(maker, tmp_path):
             assert at["wait"] == 3.0
             not_it = ours.model_copy(update={"server_certificate": str(other.certificate)})
             # Another server is known before anything is said to it, and at once: it is a matter of settings.
-            with pytest.raises(
-                LoginRefused, match=r"shows another certificate than opcua\.server_certificate"
-            ):
+            with pytest.raises(LoginRefused, match=r"shows another certificate than opcua\.server_certificate"):
                 async with Link(maker.config.machine, not_it):
                     pass
             for bad in (ours.model_copy(update={"password_file": str(wrong)}), strange, not_it, opcua):

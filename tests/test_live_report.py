@@ -118,9 +118,7 @@ class Forged:
         if current["sha256"] != "0" and (path := self.folder / current["program"]).is_file():
             self.current(sha256=sha256_of_file(path))
         return {
-            layer.name: layer.why
-            for layer in verify_build(self.folder, self.built / "box.stl")
-            if not layer.passed
+            layer.name: layer.why for layer in verify_build(self.folder, self.built / "box.stl") if not layer.passed
         }
 
     def without(self, kind, nth):

@@ -94,10 +94,7 @@ def test_the_retract_of_the_end_is_asked_for(tmp_path):
 def test_a_beam_without_its_power_is_found(control, tmp_path):
     text = ProgramText(control, tmp_path / "p")
     zero = {SINUMERIK: "H2=0", LINUXCNC: "M68 E1 Q0", PLAIN: "M3 S0"}[control]
-    if control == SINUMERIK:
-        place = text.edit_all(r"H2=120", zero)
-    else:
-        place = text.edit_all(r"M68 E1 Q120|M3 S7200", zero)
+    place = text.edit_all(r"H2=120", zero) if control == SINUMERIK else text.edit_all(r"M68 E1 Q120|M3 S7200", zero)
     found = text.failed_by_text()["order of events"]
     assert "power" in found.text
     assert place.split(":")[0] in (found.where.split(":")[0], text.main)
@@ -322,8 +319,6 @@ def test_a_value_of_linuxcnc_that_stops_the_tool_along_a_bead_is_found(tmp_path)
     assert "order of events" not in text.failed_by_text()
 
 
-@pytest.mark.parametrize(
-    "ends", [{"beam_off": ["M68 E1 Q0", "M65 P0"]}, {"wire_stop": ["M68 E2 Q0", "M65 P1"]}]
-)
+@pytest.mark.parametrize("ends", [{"beam_off": ["M68 E1 Q0", "M65 P0"]}, {"wire_stop": ["M68 E2 Q0", "M65 P1"]}])
 def test_a_profile_may_set_a_value_to_nothing_before_it_switches_off(ends, tmp_path):
     assert not ProgramText(LINUXCNC, tmp_path / "p", machine=ends).failed_by_text()

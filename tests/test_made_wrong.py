@@ -184,9 +184,7 @@ def test_both_balances_find_the_same_temperatures(name, base, tmp_path):
 @pytest.mark.parametrize("material", ["Ti-6Al-4V", "Al 2319", "316L"])
 def test_sound_plans_pass_the_second_balance(material, limit_k, tmp_path):
     """On a cooled plate a slim column on a wide foot, and slabs on a slim column, cool the fastest from the heat of a bead."""
-    config = WARM.changed(
-        material={"name": material}, process={"base": "cooled", "interpass_limit_k": limit_k}
-    )
+    config = WARM.changed(material={"name": material}, process={"base": "cooled", "interpass_limit_k": limit_k})
     column, foot = shapely.box(-6, -6, 6, 6), shapely.box(-40, -40, 40, 40)
     slab = shapely.box(-20, -20, 20, 20)
     for name, sections in (("foot", [foot] * 3 + [column] * 8), ("slab", [column] * 6 + [slab] * 4)):
@@ -207,14 +205,10 @@ def test_cells_that_are_joined_on_the_way_down_change_nothing(monkeypatch):
 
 
 def test_layers_followed_one_by_one_are_those_followed_at_once():
-    sections = (
-        [shapely.box(0, 0, 60, 60)] * 3 + [shapely.box(0, 0, 0, 0)] + [shapely.box(20, 20, 40, 40)] * 150
-    )
+    sections = [shapely.box(0, 0, 60, 60)] * 3 + [shapely.box(0, 0, 0, 0)] + [shapely.box(20, 20, 40, 40)] * 150
     count, beads = len(sections), 4
     off_s = np.tile([90.0, 2.0, 2.0, 2.0], count)
-    heat = BeadHeat(
-        np.repeat(np.arange(count), beads), off_s, np.full(off_s.size, 6.0), np.full(off_s.size, 1e4)
-    )
+    heat = BeadHeat(np.repeat(np.arange(count), beads), off_s, np.full(off_s.size, 6.0), np.full(off_s.size, 1e4))
     at_once_k = entries_k(heat, sections, np.full(count, 1.6), Config())
     stands, one_by_one = FollowedHeat(Config()), []
     for k, section in enumerate(sections):

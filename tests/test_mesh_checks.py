@@ -52,9 +52,7 @@ def test_sections_of_sound_slicers_are_those_of_the_mesh(name, height_mm):
 def test_holes_that_polygons_forget_are_found(monkeypatch):
     part = models()["prism"].tessellate(0.1)
     layers, right = cut(part), Layers.polygons
-    monkeypatch.setattr(
-        Layers, "polygons", lambda self, k: [shapely.Polygon(p.exterior) for p in right(self, k)]
-    )
+    monkeypatch.setattr(Layers, "polygons", lambda self, k: [shapely.Polygon(p.exterior) for p in right(self, k)])
     check = sections_check(part, layers, Config())
     assert not check.passed
     assert check.value > Config().process.bead_width_mm / 4
@@ -192,9 +190,7 @@ def test_a_part_that_is_turned_the_wrong_way_is_found(direction, monkeypatch, tm
 
 def test_a_part_that_shrinks_as_it_is_placed_is_found(monkeypatch, tmp_path):
     right = Placing.moved
-    monkeypatch.setattr(
-        Placing, "moved", lambda self, part: replace(right(self, part), vertices=0.98 * part.vertices)
-    )
+    monkeypatch.setattr(Placing, "moved", lambda self, part: replace(right(self, part), vertices=0.98 * part.vertices))
     assert not file_check(*read(tmp_path, {"rotate_deg": 30.0})).passed
 
 

@@ -265,9 +265,7 @@ def webs(thickness_mm, count=1, plate_layers=3, web_layers=14):
 
 
 def read(made):
-    return by_section(
-        by_height(made.read(), made.z), made.layers, made.z, made.config.contour_offset_mm, 0.75
-    )
+    return by_section(by_height(made.read(), made.z), made.layers, made.z, made.config.contour_offset_mm, 0.75)
 
 
 @pytest.mark.parametrize("count", [1, 3])

@@ -37,8 +37,7 @@ from ebamcheck_models import (
     TurnableModel,
 )
 from ebamcheck_models.__main__ import main
-from ebamcheck_models.narrow import WIDTHS_MM
-from ebamcheck_models.polyhedra import Polyhedron
+from ebamcheck_models.polyhedra import WIDTHS_MM, Polyhedron
 from ebamcheck_models.walls import WalledModel
 
 ALL = pytest.mark.parametrize("model", MODELS.values(), ids=MODELS)
@@ -85,10 +84,7 @@ def test_meshes_go_to_the_volume_that_is_claimed(model):
         part = model.tessellate(tolerance_mm)
         corners = part.triangles - part.vertices.mean(axis=0)
         surface = (
-            0.5
-            * np.linalg.norm(
-                np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
-            ).sum()
+            0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum()
         )
         volume = np.einsum("ij,ij->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6.0
         assert abs(volume - model.mesh_volume) <= tolerance_mm * surface + 1e-6 * model.volume
@@ -102,9 +98,7 @@ def test_volume_is_the_integral_of_the_area(model):
         # Quadratic between the heights of corners, where two Gauss nodes give it exactly.
         edges = np.unique(model.corners[np.unique(model.facets), 2])
         middle, half = 0.5 * (edges[1:] + edges[:-1]), 0.5 * np.diff(edges)
-        areas = [
-            [model.area(m + h * s / math.sqrt(3)) for s in (-1, 1)] for m, h in zip(middle, half, strict=True)
-        ]
+        areas = [[model.area(m + h * s / math.sqrt(3)) for s in (-1, 1)] for m, h in zip(middle, half, strict=True)]
         assert half @ np.sum(areas, axis=1) == pytest.approx(model.volume, rel=1e-9)
     else:
         z = low + (high - low) * (np.arange(810) + 0.5) / 810
@@ -344,9 +338,7 @@ def test_a_turned_model_is_the_part_turned_along_the_direction(model, direction)
 
 
 @pytest.mark.in_turn(3)
-@pytest.mark.parametrize(
-    "model", [CUBE, PRISM, BRACKET, CONE, CYLINDER, TWO_SPHERES, PYRAMID], ids=lambda m: m.name
-)
+@pytest.mark.parametrize("model", [CUBE, PRISM, BRACKET, CONE, CYLINDER, TWO_SPHERES, PYRAMID], ids=lambda m: m.name)
 @pytest.mark.parametrize("direction", DIRECTIONS, ids=str)
 def test_the_area_of_a_turned_model_integrates_to_its_volume(model, direction):
     turned = model.turned(direction)

@@ -1,18 +1,25 @@
-"""Holes, slots, gaps, notches and walls narrower than beads can build, or than a setting allows."""
+"""Holes, slots, gaps, notches and walls that beads cannot build, or that lie between two cuts, with place and size."""
+
+from __future__ import annotations
 
 import math
 
 import numpy as np
 import pytest
 import shapely
+from parts import box, join, sphere, tilted, torus
 from prism_program import CONFIG, Made
 from shapely import affinity
 
+from benchmarks.curve_parts_solids import extruded
+from ebamcheck.checks.mesh_checks import between_check
 from ebamcheck.checks.metal import deposit
 from ebamcheck.checks.metal_rules import NARROW, deposit_checks
 from ebamcheck.checks.narrow_features import narrow_features, narrow_places
+from ebamcheck.mesh.part import Part, from_arrays
 from ebamcheck.pipeline.findings import metal_findings, narrow_findings
 from ebamcheck.settings.config import Config
+from ebamcheck.slicers.slicing import slice_part
 
 PLATE = shapely.box(0, 0, 90, 50)
 BEAD = 6.0
@@ -53,11 +60,7 @@ NARROW_SECTIONS = {
         0.001,
     ),
     "two bars": (shapely.MultiPolygon([disc(0, 0, 20), disc(20.01, 0, 20)]), "gap", 0.01),
-    "ring around a hub": (
-        disc(0, 0, 60).difference(disc(0, 0, 24)).union(disc(0, 0, 18)),
-        "gap",
-        3.0,
-    ),
+    "ring around a hub": (disc(0, 0, 60).difference(disc(0, 0, 24)).union(disc(0, 0, 18)), "gap", 3.0),
     "slit from outside": (PLATE.difference(shapely.box(40, 20, 42, 60)), "notch", 2.0),
     "keyway": (PLATE.difference(shapely.box(40, 47, 43, 60)), "notch", 3.0),
     "sharp notch": (gusset(20.0), "notch", None),
@@ -151,10 +154,7 @@ def test_one_feature_through_many_layers_is_one_finding():
     heights = np.arange(30) * 2.0 + 1.0
     told = list(narrow_findings([leaning, upper], heights, Config()))
     assert [(one.severity, one.code) for one in told] == [("warning", "opening-under-bead")] * 2
-    assert (
-        "a hole 2.5 mm wide on 30 layers, z = 1.000 to 59.000 mm, is narrower than a bead (6 mm)"
-        in told[0].text
-    )
+    assert "a hole 2.5 mm wide on 30 layers, z = 1.000 to 59.000 mm, is narrower than a bead (6 mm)" in told[0].text
     assert "bridged by the melt" in told[0].text
     assert told[0].place.startswith("layer ")
 
@@ -209,13 +209,6 @@ def test_a_least_wall_that_is_set_shuts_the_gate(factor):
     assert [one.is_set for one in narrow_features([section], config)] == ([True] if factor < 1 else [])
 
 
-def test_an_allowance_for_machining_makes_walls_thicker():
-    section = PLATE.union(shapely.box(40, 50, 42, 80))
-    assert len(narrow_features([section], Config())) == 1
-    allowed = Config().changed(process={"machining_allowance_mm": 1.0})
-    assert narrow_features([section], allowed) == []
-
-
 # -- features that lie on their sides --------------------------------------------------------------
 
 
@@ -244,16 +237,90 @@ def test_what_stands_upright_is_as_wide_as_it_is_narrow(walls):
     slot = shapely.box(20, 20, 60, 25)
     low = shapely.box(0, 0, 90, 50) if not walls else shapely.Polygon()
     within = PLATE.difference(slot) if not walls else slot
-    config = Config().changed(
-        layers={"layer_height_mm": 1.5}, process={"least_hole_mm": 5.2, "least_wall_mm": 5.2}
-    )
+    config = Config().changed(layers={"layer_height_mm": 1.5}, process={"least_hole_mm": 5.2, "least_wall_mm": 5.2})
     found = [f for f in narrow_features([low, *[within] * 12, low], config) if f.is_set]
     assert [f.is_wall for f in found] == [walls]
 
 
-def test_a_narrow_neck_of_a_cavity_is_narrow():
-    """A neck of 2 mm through five layers under a wide cavity, both closed."""
-    neck, cavity = PLATE.difference(disc(45, 25, 2.0)), PLATE.difference(disc(45, 25, 20.0))
-    config = Config().changed(layers={"layer_height_mm": 1.5})
-    found = narrow_features([PLATE, *[neck] * 5, *[cavity] * 5, PLATE], config)
-    assert [(f.kind, f.first, f.last) for f in found] == [("hole", 1, 5)]
+# -- what no layer has --------------------------------------------------------------------------------------
+
+
+BLOCK = box((0, 0, 0), (40, 30, 6))
+
+
+def bored(radius_mm: float, z_mm: float) -> Part:
+    """A block of 40 x 30 x 6 mm with a round bore along X through it."""
+    turn = -2.0 * np.pi * np.arange(24) / 24
+    ring = np.column_stack([15.0 + radius_mm * np.cos(turn), z_mm + radius_mm * np.sin(turn)])
+    outer = np.array([[0.0, 0.0], [30.0, 0.0], [30.0, 6.0], [0.0, 6.0]])
+    upright = extruded([outer, ring], 40.0)
+    return from_arrays(upright.vertices[:, [2, 0, 1]], upright.faces)
+
+
+def found(part: Part, **process: float) -> tuple:
+    config = Config().changed(layers={"layer_height_mm": 1.5}, process=process)
+    cuts = np.arange(part.bounds[0, 2] + 0.75, part.bounds[1, 2], 1.5)
+    check = between_check(part, slice_part(part, cuts), config)
+    return check, list(metal_findings([check]))
+
+
+def test_a_bore_that_lies_between_two_cuts_is_told_and_refused_where_holes_are_wider_by_the_settings():
+    part = bored(0.6, 3.0)
+    check, told = found(part)
+    assert check.passed
+    assert [(f.severity, f.code) for f in told] == [("warning", "lost-between-cuts")]
+    assert "an opening 1.2 mm high and 1.2 mm wide at z = 3.000 mm, (20.0, 15.0)" in check.text
+    check, told = found(part, least_hole_mm=20.0)
+    assert not check.passed
+    assert [f.severity for f in told] == ["fault"]
+    assert "process.least_hole_mm allows none under 20 mm" in check.text
+    assert (check.layer, round(check.x_mm), round(check.y_mm)) == (1, 20, 15)
+
+
+def test_a_bore_that_a_cut_crosses_is_for_the_sections_to_tell():
+    check, told = found(bored(0.6, 2.25))
+    assert check.value == 0.0
+    assert told == []
+
+
+@pytest.mark.parametrize("gap", [0.1, 0.4, 1.2])
+def test_a_gap_between_two_bodies_is_told(gap):
+    part = join(box((0, 0, 0), (40, 30, 2.5)), box((0, 0, 2.5 + gap), (40, 30, 6)))
+    check, _ = found(part)
+    assert check.value == 1.0
+    assert f"an opening {gap:.2g} mm high" in check.text
+
+
+def test_a_rim_is_told_where_it_reaches_farther_than_sides_are_uneven():
+    for reach, count in ((0.8, 0.0), (1.2, 1.0)):
+        part = join(BLOCK, box((-reach, -reach, 2.6), (40 + reach, 30 + reach, 3.4)))
+        check, told = found(part, least_wall_mm=1.0)
+        assert check.value == count
+        assert check.passed == (count == 0.0)
+        assert [f.severity for f in told] == ["fault"] * int(count)
+
+
+@pytest.mark.parametrize(
+    "part",
+    [BLOCK, sphere(10.0), torus(), tilted(BLOCK), join(BLOCK, box((10, 10, 5.5), (20, 20, 9.7)))],
+    ids=["block", "sphere", "torus", "tilted", "step"],
+)
+def test_sound_parts_have_nothing_between_their_cuts(part):
+    check, told = found(part)
+    assert check.value == 0.0
+    assert told == []
+
+
+def test_listed_heights_say_which_layers_there_are():
+    config = Config().changed(layers={"heights_mm": [0.75, 5.25]})
+    check = between_check(bored(0.6, 3.0), slice_part(bored(0.6, 3.0), np.array([0.75, 5.25])), config)
+    assert check.passed
+    assert check.value == 0.0
+
+
+def test_sections_that_meet_in_a_line_are_compared():
+    """Two blocks beside each other, one on the lower and one on the upper layer, and a rim of a third between the cuts."""
+    part = join(box((0, 0, 0), (20, 30, 1.5)), box((20, 0, 1.5), (40, 30, 3)), box((0, 0, 0.9), (40, 30, 2.1)))
+    check, _ = found(part)
+    assert check.passed
+    assert check.value == 0.0

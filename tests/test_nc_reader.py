@@ -94,8 +94,7 @@ def test_a_spline_is_not_begun_anew_by_what_does_not_end_it(tmp_path, block):
     """Between two splines whose ends are clamped: the control has one spline through both, where G1 does not end the first."""
     once = bspline_text(EXAMPLE, EXAMPLE_KNOTS, 2).removesuffix("G0 Z50\n")
     again = "".join(
-        f"X{40 + x} Y{y} PL={pl}\n"
-        for x, y, pl in ((5, 10, 0), (15, 15, 2), (28, 12, 3), (34, 4, 4), (40, 0, 0))
+        f"X{40 + x} Y{y} PL={pl}\n" for x, y, pl in ((5, 10, 0), (15, 15, 2), (28, 12, 3), (34, 4, 4), (40, 0, 0))
     )
     assert (read(tmp_path, once + "G1\nBSPLINE SD=3\n" + again + "G0 Z50\n").kind == SPLINE_SPAN).sum() == 6
     with pytest.raises(InputError, match=r":1[01]:\d+: .*(none of its spline|in force)"):
@@ -234,9 +233,7 @@ def test_an_axis_before_any_motion_word_is_refused(tmp_path):
 
 
 def test_blocks_after_the_end_are_refused(tmp_path):
-    with pytest.raises(
-        InputError, match=r"TEST\.MPF:4:1: a block after the end of the program by M30 in line 3"
-    ):
+    with pytest.raises(InputError, match=r"TEST\.MPF:4:1: a block after the end of the program by M30 in line 3"):
         read(tmp_path, "M30\n")
 
 

@@ -116,13 +116,9 @@ def test_setup_asks_the_code_what_it_can_answer():
         assert (done.returncode in (0, 1), done.stderr) == (True, ""), code
 
 
-@pytest.mark.parametrize(
-    ("target", "extras"), [("demo", []), ("setup", ["test", "docs"]), ("docs", ["test", "docs"])]
-)
+@pytest.mark.parametrize(("target", "extras"), [("demo", []), ("setup", ["test", "docs"]), ("docs", ["test", "docs"])])
 def test_a_target_installs_the_extras_that_it_needs(target, extras):
-    environment = {
-        name: value for name, value in os.environ.items() if not name.startswith(("MAKE", "MFLAGS"))
-    }
+    environment = {name: value for name, value in os.environ.items() if not name.startswith(("MAKE", "MFLAGS"))}
     done = subprocess.run(
         ["make", "-n", "-B", target], cwd=ROOT, env=environment, capture_output=True, text=True, check=True
     )

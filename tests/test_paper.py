@@ -162,9 +162,7 @@ def test_reductions_follow_from_the_ranges_of_the_same_table(made: Reproduction)
             for kind in ("polar", "normal"):
                 before, after, given = row["polyline"][kind], found[kind], found["reductions"][kind]
                 assert given["range"] == pytest.approx(
-                    published.reduction(
-                        before["high_mm"] - before["low_mm"], after["high_mm"] - after["low_mm"]
-                    ),
+                    published.reduction(before["high_mm"] - before["low_mm"], after["high_mm"] - after["low_mm"]),
                     nan_ok=True,
                 )
                 for key in ("rms", "mean_abs"):
@@ -185,9 +183,7 @@ def test_polygons_lie_inside_of_a_round_body_and_errors_are_signed_so(made: Repr
     ("short_mm", "side_mm", "rounded", "case", "n"),
     [(100.0, 10.0, 11, "odd", 11), (110.0, 10.0, 12, "even", 13), (114.0, 10.0, 12, "even", 13)],
 )
-def test_odd_and_even_case_of_the_hexagons(
-    short_mm: float, side_mm: float, rounded: int, case: str, n: int
-) -> None:
+def test_odd_and_even_case_of_the_hexagons(short_mm: float, side_mm: float, rounded: int, case: str, n: int) -> None:
     corners = np.array([(0, 0), (short_mm, 0), (short_mm, 300.0), (0, 300.0)])
     found = layer_figures.lattice(corners, side_mm)
     assert (found["rounded"], found["case"], found["n"]) == (rounded, case, n)
@@ -214,9 +210,7 @@ def test_a_mesh_of_the_users_takes_the_bunnys_place(tmp_path: Path, made: Reprod
     assert len(pictures) == 2
 
 
-def test_command_writes_both_files_or_none(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, made: Reproduction
-) -> None:
+def test_command_writes_both_files_or_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, made: Reproduction) -> None:
     monkeypatch.setattr(published, "QUICK", TINY)
     given: list[Any] = []
 

@@ -130,9 +130,7 @@ def test_parts_at_the_edge(tmp_path, part, layers, areas, shut):
     )
     assert result.folder.read_layers("planecut").areas() == pytest.approx(areas, rel=1e-4)
     # Beads lie beside a part that is thinner than a bead: nothing else is wrong with it.
-    assert {gate.name for gate in result.gates if not gate.passed} == shut, [
-        gate.text for gate in result.gates
-    ]
+    assert {gate.name for gate in result.gates if not gate.passed} == shut, [gate.text for gate in result.gates]
     assert result.exit_code is (ExitCode.OUT_OF_TOLERANCE if shut else ExitCode.PASS)
 
 
@@ -144,9 +142,7 @@ def test_units_and_direction(tmp_path):
         ((1, 0, 0), [480.0, 480.0, 12.0 * 24.0, 480.0, 480.0]),
     ):
         height = 8.0 if direction[0] else 6.0
-        settings = SETTINGS.changed(
-            part={"units": "m", "direction": direction}, layers={"layer_height_mm": height}
-        )
+        settings = SETTINGS.changed(part={"units": "m", "direction": direction}, layers={"layer_height_mm": height})
         result = check_job(path, tmp_path / "m.run", settings, force=True)
         assert result.folder.read_layers("planecut").areas() == pytest.approx(areas, rel=1e-4)
         assert gates(result)["agreement"]
@@ -194,9 +190,7 @@ def test_a_finished_run_is_kept_whatever_is_asked_for(copy, plate):
     (kept,) = copy.parent.glob("copy.run.*")
     assert kept.name == f"copy.run.{plate[0].manifest['timings']['finished'].rstrip('Z').replace(':', '')}"
     assert listener.notes[1] == f"{copy}: the former run will be kept as {kept.name}"
-    assert {
-        copy / path.relative_to(kept): path.read_bytes() for path in kept.rglob("*") if path.is_file()
-    } == before
+    assert {copy / path.relative_to(kept): path.read_bytes() for path in kept.rglob("*") if path.is_file()} == before
     assert RunFolder(copy).manifest()["job"] == "check"
 
 

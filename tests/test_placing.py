@@ -33,9 +33,7 @@ from ebamcheck.settings.stages import PartSettings
 from ebamcheck.slicers.slicing import slice_part
 from ebamcheck.verification.verify import verify
 
-SETTINGS = Config().changed(
-    layers={"layer_height_mm": 6.0}, process=WIDE, slicing={"backends": tuple(FAST.split(","))}
-)
+SETTINGS = Config().changed(layers={"layer_height_mm": 6.0}, process=WIDE, slicing={"backends": tuple(FAST.split(","))})
 
 
 def block():

@@ -90,10 +90,7 @@ def test_union_of_random_boxes_is_that_of_shapely(seed):
     upper = lower + rng.uniform(0.5, 4, (12, 3))
     lower[:, 2], upper[:, 2] = 0, 1
     part = join(
-        *(
-            tilted_about_z(box(a, b), angle)
-            for a, b, angle in zip(lower, upper, rng.uniform(0, 90, 12), strict=True)
-        )
+        *(tilted_about_z(box(a, b), angle) for a, b, angle in zip(lower, upper, rng.uniform(0, 90, 12), strict=True))
     )
     layers = cut(part, [0.5])
     footprints = [shapely.union_all(cut(welded_body(part, i), [0.5]).polygons(0)) for i in range(12)]
@@ -124,9 +121,7 @@ def test_a_flipped_facet_does_not_break_its_ring():
     flipped = part.faces.copy()
     flipped[3] = flipped[3, ::-1]
     heights = ebamcheck.layer_heights(part, 0.3)
-    assert_allclose(
-        cut(Part(part.vertices, flipped), heights).areas(), cut(part, heights).areas(), rtol=1e-12
-    )
+    assert_allclose(cut(Part(part.vertices, flipped), heights).areas(), cut(part, heights).areas(), rtol=1e-12)
 
 
 def test_empty_stacks_and_heights_outside():
@@ -141,9 +136,7 @@ def test_any_slicing_direction_keeps_the_volume(direction):
     part = torus().along(direction)
     assert part.volume == pytest.approx(torus().volume, rel=1e-12)
     axis = np.asarray(direction, float) / np.linalg.norm(direction)
-    assert_allclose(
-        part.bounds[:, 2], [(torus().vertices @ axis).min(), (torus().vertices @ axis).max()], atol=1e-12
-    )
+    assert_allclose(part.bounds[:, 2], [(torus().vertices @ axis).min(), (torus().vertices @ axis).max()], atol=1e-12)
     heights = ebamcheck.layer_heights(part, part.size[2] / 700)
     layers = cut(part, heights)
     assert layers.areas().sum() * np.diff(heights)[0] == pytest.approx(part.volume, rel=2e-3)
@@ -202,9 +195,7 @@ def same(a, b):
 def planes(part):
     """Heights between vertices, through them, and outside."""
     z = np.unique(part.vertices[:, 2])
-    return np.unique(
-        np.concatenate([z, (z[1:] + z[:-1]) / 2, [z[0] - 1, z[-1] + 1], np.linspace(z[0], z[-1], 97)])
-    )
+    return np.unique(np.concatenate([z, (z[1:] + z[:-1]) / 2, [z[0] - 1, z[-1] + 1], np.linspace(z[0], z[-1], 97)]))
 
 
 @pytest.mark.parametrize("faces", [[], [(0, 1, 1), (2, 2, 2)]])

@@ -41,9 +41,7 @@ def with_preset(table, monkeypatch):
 
 def test_a_preset_that_lacks_data_is_refused(monkeypatch):
     """The defaults of the section are those of titanium, which no other material has."""
-    with pytest.raises(
-        SettingsError, match=r"preset 'Inconel 625' lacks .*solidus_k.*: set them, or complete"
-    ):
+    with pytest.raises(SettingsError, match=r"preset 'Inconel 625' lacks .*solidus_k.*: set them, or complete"):
         with_preset({"density_kg_m3": 8440.0}, monkeypatch)
 
 

@@ -113,9 +113,7 @@ def test_a_faulty_mesh_is_told_its_own_remedy_once_and_is_sliced_all_the_same(tm
 
 def test_a_part_beside_the_travel_is_told_where_to_go(tmp_path):
     part = stl(tmp_path, box((5000, 0, 0), (5100, 60, 40)))
-    with pytest.raises(
-        SettingsError, match=r"travel X: X needs 5003 to 5097 mm of -1000 to 1000 mm.*--place 0,0"
-    ):
+    with pytest.raises(SettingsError, match=r"travel X: X needs 5003 to 5097 mm of -1000 to 1000 mm.*--place 0,0"):
         run_job(part, tmp_path / "a.run")
     assert levels(part, part={"place_at_mm": (0.0, 0.0)}) == {}
     assert list(tmp_path.iterdir()) == [part]
@@ -311,9 +309,7 @@ def test_the_command_tells_by_its_exit_code(block, capsys):
     assert not found["passed"]
     assert found["work"]["layers"] == 24
     faults = [check for check in found["checks"] if check["level"] == "fault"]
-    assert [(c["name"], c["limit"], c["unit"], c["stops"]) for c in faults] == [
-        ("travel X", 1000.0, "mm", ["run"])
-    ]
+    assert [(c["name"], c["limit"], c["unit"], c["stops"]) for c in faults] == [("travel X", 1000.0, "mm", ["run"])]
     with pytest.raises(SettingsError, match="--job 'fly'"):
         preflight_command(block, job="fly")
     with pytest.raises(SettingsError, match="give either"):

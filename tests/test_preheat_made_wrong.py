@@ -38,9 +38,7 @@ def half_of_the_rows(monkeypatch):
 
 def rows_twice_as_far(monkeypatch):
     right = preheating._rows
-    monkeypatch.setattr(
-        preheating, "_rows", lambda region, spacing, shift: right(region, 2.0 * spacing, shift)
-    )
+    monkeypatch.setattr(preheating, "_rows", lambda region, spacing, shift: right(region, 2.0 * spacing, shift))
 
 
 def clamps_left_out(monkeypatch):

@@ -187,9 +187,7 @@ def test_how_often_and_how_warm_is_judged_where_the_heat_is_known(plant, wanted,
     plant(text)
     text.save()
     before = lowest.after.rested(upper.wait_s + RISE_S).part.column
-    checks = preheat_checks(
-        read_program(tmp_path / "program", upper.config), upper.config, [SECTION], before, SECTION
-    )
+    checks = preheat_checks(read_program(tmp_path / "program", upper.config), upper.config, [SECTION], before, SECTION)
     assert wanted in {check.name for check in checks if not check.passed}
 
 
@@ -210,9 +208,7 @@ def place(tmp_path_factory):
     folder = tmp_path_factory.mktemp("plate")
     write_stl(box(upper=(36, 30, 6.7)), folder / "box.stl")
     (folder / "plate.toml").write_text(PLATE)
-    done = ebamcheck(
-        "run", "box.stl", "-o", "box.run", "--backends", FAST, "-c", "plate.toml", "--live", cwd=folder
-    )
+    done = ebamcheck("run", "box.stl", "-o", "box.run", "--backends", FAST, "-c", "plate.toml", "--live", cwd=folder)
     assert done.returncode == 0, done.stdout + done.stderr
     return folder
 
@@ -250,9 +246,7 @@ def test_a_layer_made_again_knows_the_preheated_plate(place, tmp_path):
     cold = replace(found, config=found.config.changed(preheat={"when": "off"})).before(1)
     # Waits within the layer are spread over it here, where the plan has them before single beads: its `leave_k` is no measure.
     assert warm.surface_k > cold.surface_k + 10.0
-    done = ebamcheck(
-        "relayer", place / "box.run", "--layer", 1, "--measured-z", 0.0, "-o", tmp_path / "o", cwd=place
-    )
+    done = ebamcheck("relayer", place / "box.run", "--layer", 1, "--measured-z", 0.0, "-o", tmp_path / "o", cwd=place)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "in place of MAIN_L0001.SPF and of MAIN_P0001, the scan before it" in done.stdout
     layer = next((tmp_path / "o" / "layers").iterdir())

@@ -58,9 +58,7 @@ def place(tmp_path_factory):
     st.floats(20.0, 120.0), st.floats(15.0, 90.0), st.floats(2.0, 25.0), st.integers(0, 5),
     st.sampled_from(["lines", "crossed"]), st.booleans(),
 )  # fmt: skip
-def test_lines_stay_within_the_region_and_leave_nothing_of_it_bare(
-    width, height, spacing, number, pattern, hole
-):
+def test_lines_stay_within_the_region_and_leave_nothing_of_it_bare(width, height, spacing, number, pattern, hole):
     config = config_of(pattern=pattern, spacing_mm=spacing)
     region = shapely.box(0, 0, width, height)
     if hole:

@@ -27,9 +27,7 @@ def checks_of(tmp_path, rings, process=None, islands=(), layers=None, height=1.5
     files = write_program(curves, make_plan(heights, list(islands)), config, tmp_path / "p")
     nc = read_program(files.main, config)
     sections = from_rings(heights, layers) if layers else None
-    return {
-        c.name: c for c in verify_program(nc, config=config, layers=sections, heights=heights, beads=beads)
-    }, files
+    return {c.name: c for c in verify_program(nc, config=config, layers=sections, heights=heights, beads=beads)}, files
 
 
 def line_of(check, files):
@@ -127,9 +125,7 @@ def rings_of_stack(tmp_path, rings, islands=(), process=None):
     """Check `overhang` of layers of several polyline rings each."""
     heights = (np.arange(len(rings)) + 0.5) * 1.5
     config = Config().changed(process={"bead_width_mm": 6.0, **(process or {})})
-    curves = make_curves(
-        heights, [[[(r, None)] for r in layer] for layer in rings], [True] * sum(map(len, rings))
-    )
+    curves = make_curves(heights, [[[(r, None)] for r in layer] for layer in rings], [True] * sum(map(len, rings)))
     files = write_program(curves, make_plan(heights, list(islands)), config, tmp_path / "p")
     nc = read_program(files.main, config)
     return {c.name: c for c in verify_program(nc, config=config, heights=heights)}["overhang"]
@@ -191,9 +187,7 @@ def lines():
 
 def test_a_filled_square_has_no_gap(tmp_path):
     found, _ = filled(tmp_path, lines())
-    assert all(
-        found[name].passed for name in ("hatch spacing", "lines laid once", "coverage", "repeated blocks")
-    )
+    assert all(found[name].passed for name in ("hatch spacing", "lines laid once", "coverage", "repeated blocks"))
     assert "no gap" in found["coverage"].text
 
 

@@ -211,9 +211,7 @@ def test_a_layer_over_the_bead_is_named(tmp_path):
     config = Config()
     files = write_program(*stack(layer_height=4.0), config, tmp_path / "p")
     check = next(
-        c
-        for c in verify_program(read_program(files.main, config), config=config)
-        if c.name == "process window"
+        c for c in verify_program(read_program(files.main, config), config=config) if c.name == "process window"
     )
     assert not check.passed
     assert re.match(r"2\.387 of a bead's height a layer, allowed are 0\.5 \.\. 2 \(and 2 more\)", check.text)
@@ -255,9 +253,7 @@ def test_beads_at_the_least_wire_keep_it_when_their_width_is_rounded(tmp_path, b
     assert window_check(program, config).passed
 
 
-@pytest.mark.parametrize(
-    "limits", [{"line_energy_j_mm": (150.0, 3000.0)}, {"current_window_ma": (30.0, 400.0)}]
-)
+@pytest.mark.parametrize("limits", [{"line_energy_j_mm": (150.0, 3000.0)}, {"current_window_ma": (30.0, 400.0)}])
 def test_power_goes_down_no_further_than_the_window_allows(tmp_path, limits):
     """Aluminium melts with less power than the window lets a bead have: the plan waits for the rest."""
     config = Config().changed(

@@ -267,9 +267,7 @@ def test_hatch_and_contours_of_a_planned_part_pass(tmp_path):
     config = Config()
     curves, plan = fit(contour_paths(layers, config.contour_offset_mm)), plan_stack(layers, config)
     files = write_program(curves, plan, config, tmp_path / "program")
-    checks = verify_file(
-        files.main, config=config, curves=curves, plan=plan, layers=layers, sha256=files.sha256
-    )
+    checks = verify_file(files.main, config=config, curves=curves, plan=plan, layers=layers, sha256=files.sha256)
     assert failed(checks) == []
     # Contours whose wire changes are cut there, and compared as shapes: by chords that keep to 2 % of the limit.
     assert value(checks, "contour path") < 2.5e-5

@@ -231,6 +231,4 @@ def test_a_stack_without_layers_is_a_program_that_does_nothing(tmp_path):
     nc = read_program(files.main)
     assert not nc.deposit.any()
     assert len(program_summary(nc, Config())) == 0
-    assert [c.name for c in verify_program(nc, config=Config(), heights=[0.5]) if not c.passed] == [
-        "layer count"
-    ]
+    assert [c.name for c in verify_program(nc, config=Config(), heights=[0.5]) if not c.passed] == ["layer count"]

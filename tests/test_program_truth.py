@@ -68,9 +68,7 @@ def test_a_header_that_is_not_true_is_found(control, name, tmp_path):
 
 
 @pytest.mark.parametrize("control", CONTROLS)
-@pytest.mark.parametrize(
-    ("pattern", "lie"), [(r"CUT AT [\d.]+", "CUT AT 77.000000"), (r" Z [\d.]+$", " Z 99.000000")]
-)
+@pytest.mark.parametrize(("pattern", "lie"), [(r"CUT AT [\d.]+", "CUT AT 77.000000"), (r" Z [\d.]+$", " Z 99.000000")])
 def test_a_layer_at_another_height_than_it_says_is_found(control, pattern, lie, tmp_path):
     text = ProgramText(control, tmp_path / "p")
     name, begin = text.layer(2)

@@ -39,9 +39,7 @@ def test_the_corrected_model_reads_what_was_measured(heat, off_k, after_s):
     assert (stored[0] - stored[1]) * off_k >= 0.0
     # What differs across the section, and the cold base, keep their place in it.
     assert np.allclose(after.part.field.state, said.factor * then.part.field.state)
-    rise = [
-        found.part.column.temperature_k - Config().process.ambient_temperature_k for found in (after, then)
-    ]
+    rise = [found.part.column.temperature_k - Config().process.ambient_temperature_k for found in (after, then)]
     assert np.allclose(rise[0], said.factor * rise[1], atol=0.1)
 
 
@@ -91,10 +89,7 @@ def test_the_wait_follows_the_temperature_and_the_journal_says_why(maker, heat, 
             height = {"event": "height", "done": 1, "height_mm": first["thickness_mm"]}
             warm = building.before.rested(8.0).surface_k
             assert building.height({**height, "surface_k": "hot", "after_s": 8.0})["code"] == "temperature"
-            assert (
-                building.height({**height, "surface_k": warm + 400.0, "after_s": 8.0})["code"]
-                == "temperature"
-            )
+            assert building.height({**height, "surface_k": warm + 400.0, "after_s": 8.0})["code"] == "temperature"
             read = {} if off_k is None else {"surface_k": warm + off_k, "after_s": 8.0}
             answer = building.height({**height, **read})
             assert answer["answer"] == "published", answer

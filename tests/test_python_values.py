@@ -109,9 +109,7 @@ def test_layers_rings_pieces_and_islands_are_the_columns(values) -> None:
     assert [island.index for island in islands] == plan.order.tolist()
     assert [island.rank for island in plan[1]] == list(range(len(plan[1])))
     assert sum(len(island.lines) for island in islands) == len(plan.vectors)
-    assert [island.area_mm2 for island in islands] == pytest.approx(
-        [island.polygon.area for island in islands]
-    )
+    assert [island.area_mm2 for island in islands] == pytest.approx([island.polygon.area for island in islands])
     assert plan[0].metrics["area_mm2"] == pytest.approx(1200.0)
 
 

@@ -64,12 +64,8 @@ WRONG = {*CAUGHT, *ROUGH}
 def sliced(part, heights, settings, folder, limits):
     """What :func:`slice_all` gives; only who may crash has a process of its own."""
     borders = np.array([0, heights.size])
-    here = {
-        n: cut_here(part, heights, n, settings[n], folder, limits, borders) for n in settings if n in WRONG
-    }
-    return here | slice_all(
-        part, heights, {n: settings[n] for n in settings if n not in here}, folder, limits
-    )
+    here = {n: cut_here(part, heights, n, settings[n], folder, limits, borders) for n in settings if n in WRONG}
+    return here | slice_all(part, heights, {n: settings[n] for n in settings if n not in here}, folder, limits)
 
 
 @pytest.fixture(scope="module")
@@ -335,9 +331,7 @@ def test_baselines_come_back_as_written_and_unchanged_ones_are_left_alone(tmp_pa
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize(
-    "text", ["{", "[]", '{"format": 99, "entries": {}}', '{"format": 1, "entries": {"a b": {}}}']
-)
+@pytest.mark.parametrize("text", ["{", "[]", '{"format": 99, "entries": {}}', '{"format": 1, "entries": {"a b": {}}}'])
 def test_what_is_no_baseline_is_said_to_be_none(tmp_path, text):
     (tmp_path / "m.json").write_text(text)
     with pytest.raises(InputError, match=r"m\.json"):

@@ -174,17 +174,13 @@ def test_polar_chart_appears_with_a_kept_reference(copy: RunFolder, whole: RunFo
     assert f"limit of both by the settings{limit_mm:.4g} mm" in words(section(page, "fit"))
 
 
-def test_temperatures_of_the_layers_are_shown_where_the_order_asked_for_them(
-    copy: RunFolder, whole: RunFolder
-) -> None:
+def test_temperatures_of_the_layers_are_shown_where_the_order_asked_for_them(copy: RunFolder, whole: RunFolder) -> None:
     plan = ScanPlan.from_parquet(copy.path / "scan.parquet")
     assert plan.metrics["entry_max_k"].notna().any()
     _, page, _ = render(whole)
     told = words(section(page, "scan"))
     assert "Temperatures by the heat model" in told
-    assert all(
-        f"build time {what}" in told for what in ("without waits", "with waits at full", "as programmed")
-    )
+    assert all(f"build time {what}" in told for what in ("without waits", "with waits at full", "as programmed"))
     assert "Waits that keep the entry of each bead under the limit" in told
     unasked = replace(plan, metrics=plan.metrics.assign(entry_max_k=np.nan))
     unasked.to_parquet(copy.path / "scan.parquet")
@@ -266,9 +262,7 @@ def test_failed_backend_and_gate_show_everywhere(copy: RunFolder) -> None:
 
 
 def test_inside_out_part_without_contours(tmp_path: Path) -> None:
-    folder = run(
-        inside_out(box((0, 0, 0), (20, 20, 9))), tmp_path, 3.0, slicing={"backends": ("planecut", "manifold")}
-    )
+    folder = run(inside_out(box((0, 0, 0), (20, 20, 9))), tmp_path, 3.0, slicing={"backends": ("planecut", "manifold")})
     _, page, root = render(folder)
     assert "inside-out" in words(section(page, "verdict"))
     assert "facets face inwards" in words(section(page, "part"))

@@ -1,7 +1,8 @@
-"""Orders by heat and their comparison, driven by the heat model."""
+"""Orders by heat: greedy choice, comparison and installed orders, and islands entered at cool ends."""
 
 from __future__ import annotations
 
+import itertools
 import math
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -15,24 +16,30 @@ from threadpoolctl import threadpool_info
 
 import ebamcheck
 from ebamcheck.errors import SettingsError
-from ebamcheck.geometry.regions import layer_section
 from ebamcheck.heat import Medium
-from ebamcheck.heat.island_heat import island_heat
 from ebamcheck.heat.modes import one_blas_thread
+from ebamcheck.heat.near_field import OPTIONS
 from ebamcheck.plugins import registry
-from ebamcheck.scan import LayerIslands, plan_scan
+from ebamcheck.scan import plan_scan
 from ebamcheck.scan.filling.schedule import turns_and_jumps_mm
-from ebamcheck.scan.order.entries import clocked, entered, entry_points, entry_temperatures
-from ebamcheck.scan.order.orders import scan_order
+from ebamcheck.scan.order.entries import (
+    NEAREST,
+    affordable,
+    clocked,
+    cool_options,
+    entered,
+    entry_points,
+    entry_temperatures,
+    high_mean,
+    in_sequence,
+    modes_at_entries,
+    nearest_options,
+    options_by_price,
+    rises_at_entries,
+)
+from ebamcheck.scan.order.orders import chosen_options, longest_travel_mm, scan_order
 from ebamcheck.scan.order.search import greedy_order, own_rise
-from ebamcheck.scan.plan.comparing import FIGURES, compared_orders
-from ebamcheck.scan.plan.laying import lay_islands
-from ebamcheck.settings.stages import order_names
-
-HOUSE_ORDERS = {
-    "nearest", "nearest-any", "nearest-last", "nearest-sum", "farthest", "raster",
-    "stride", "random", "least-heat", "thermal",
-}  # fmt: skip
+from ebamcheck.scan.plan.comparing import FIGURES, OrderComparison, compared_orders
 
 
 @pytest.fixture(scope="module")
@@ -43,13 +50,6 @@ def laid():
 @pytest.fixture(scope="module")
 def choices(laid):
     return laid.choices(PROFILE, 0)
-
-
-def test_the_orders_of_the_house_are_installed_as_those_of_others():
-    assert set(order_names()) == HOUSE_ORDERS
-    assert set(compared_orders()) == HOUSE_ORDERS - {"nearest"}
-    with pytest.raises(SettingsError, match="unknown order: choose one of farthest"):
-        PROFILE.changed(scan={"order": "spiral"})
 
 
 def test_driven_islands_are_the_heat_model_step_by_step(laid, choices):
@@ -64,16 +64,10 @@ def test_driven_islands_are_the_heat_model_step_by_step(laid, choices):
     state, clock = np.zeros_like(rate), 0.0
     for island in order[:12]:
         state = state * np.exp(-rate * (start[island] - clock))
-        assert entry_k[island] == pytest.approx(
-            heat.modes.mean[:, island] @ (state @ heat.modes.in_layer), abs=1e-6
-        )
-        time = end[island] - start[island]
-        gain = (
-            np.multiply.outer(heat.modes.mean[:, island], heat.modes.in_layer)
-            * -np.expm1(-rate * time)
-            / rate
-        )
-        cooled = state * np.exp(-rate * time)
+        assert entry_k[island] == pytest.approx(heat.modes.mean[:, island] @ (state @ heat.modes.in_layer), abs=1e-6)
+        decay = rate * (end[island] - start[island])
+        gain = np.multiply.outer(heat.modes.mean[:, island], heat.modes.in_layer) * -np.expm1(-decay) / rate
+        cooled = state * np.exp(-decay)
         others, state = cooled, cooled + heat.modes.source_k_s[island] * gain
         weight = choices.area_mm2 / choices.area_mm2.sum()
         rest, total = ((s @ heat.modes.in_layer) @ heat.modes.mean for s in (others, state))
@@ -94,22 +88,6 @@ def test_an_island_is_heated_by_the_power_that_the_part_takes_up(laid, choices):
     process = PROFILE.process
     wanted = length / process.travel_speed_mm_s * process.power_w * PROFILE.material.absorptivity
     assert energy.sum() == pytest.approx(wanted, rel=1e-9)
-
-
-def test_heat_of_a_thin_plate_is_energy_over_heat_capacity():
-    config = PROFILE.changed(process={"base": "insulated"}, material={"emissivity": 0.0})
-    section = layer_section(PLATE)
-    choices = lay_islands(section, config, 0, 0.0).choices(config, 0)
-    schedule, heat = choices.known_schedule, choices.cold_heat()
-    order = np.arange(len(choices))
-    start, end, _ = clocked(schedule, order, RAPID)
-    medium = Medium.of(config)
-    end[order[-1]] += 1e6
-    start[order[-1]] += 1e6
-    late, _ = entered(heat, order, start, end)
-    energy = (heat.modes.source_k_s * schedule.time_s)[:-1].sum() * medium.heat_capacity_j_mm3k
-    even = energy / (medium.heat_capacity_j_mm3k * section.area * config.process.base_plate_mm)
-    assert late[-1] == pytest.approx(even, rel=1e-6)
 
 
 def test_greedy_takes_the_best_score_at_every_step(choices):
@@ -138,26 +116,13 @@ def test_greedy_takes_the_best_score_at_every_step(choices):
 
 
 def test_own_rise_is_that_of_one_island_alone(choices):
-    heat, schedule = choices.cold_heat(), choices.known_schedule
-    island = 7
-    own = own_rise(heat, schedule)[island]
-    begin, stop = np.zeros(len(choices)), np.zeros(len(choices))
-    stop[island] = begin[island] + schedule.time_s[island]
-    begin_again = stop[island]
-    twice = np.array([island, island])
+    modes, time_s, island = choices.cold_heat().modes, choices.known_schedule.time_s, 7
+    rate = np.add.outer(modes.plane_rate, modes.depth_rate)
+    held = -np.expm1(-rate * time_s[island]) / rate
+    by_mode = modes.source_k_s[island] * modes.mean[:, island, None] ** 2 * held * modes.in_layer**2
+    own = own_rise(choices.cold_heat(), choices.known_schedule)[island]
+    assert own == pytest.approx(by_mode.sum(), rel=1e-9)
     assert own > 50.0
-    # Entered again the moment it is left, it has its own rise: drive a copy of it second.
-    doubled = replace(
-        heat,
-        near=None,
-        modes=heat.modes._replace(
-            mean=np.hstack([heat.modes.mean, heat.modes.mean[:, [island]]]),
-            source_k_s=np.append(heat.modes.source_k_s, 0.0),
-        ),
-    )
-    twice[1] = len(choices)
-    entry, _ = entered(doubled, twice, np.append(begin, begin_again), np.append(stop, begin_again))
-    assert entry[-1] == pytest.approx(own, rel=1e-9)
 
 
 @pytest.mark.parametrize("base", ["cooled", "insulated"])
@@ -172,40 +137,6 @@ def test_thermal_is_cooler_and_shorter_than_farthest(base):
         assert thermal["entry_max_k"] <= 0.25 * table.loc["raster", "entry_max_k"]
     else:
         assert thermal["entry_max_k"] < table.loc["raster", "entry_max_k"]
-
-
-def test_plans_by_heat_repeat_to_the_last_bit():
-    one, two = (plan_scan(PLATE, PROFILE, order="thermal", seed=3) for _ in range(2))
-    assert np.array_equal(one.order, two.order)
-    assert one.vectors.equals(two.vectors)
-
-
-def test_travel_is_paid_for(choices):
-    schedule, heat = choices.known_schedule, choices.cold_heat()
-    travel = []
-    for price in (0.0, 1.0, 100.0):
-        order = greedy_order(heat, schedule, FREE, RAPID, 0, price, 0.0)
-        travel.append(clocked(schedule, order, RAPID)[2])
-    assert travel[0] > travel[1] > travel[2]
-
-
-def test_stride_and_random(choices):
-    rows = scan_order("raster", choices)
-    assert np.array_equal(scan_order("stride", choices)[: len(rows[::7])], rows[::7])
-    other = LayerIslands(choices.centroid, choices.area_mm2, choices.neighbours, 0, 1)
-    assert not np.array_equal(scan_order("random", choices), scan_order("random", other))
-    assert np.array_equal(scan_order("random", choices), scan_order("random", choices))
-
-
-def test_a_finer_simulation_agrees_with_the_plan_on_what_is_hot(laid, choices):
-    schedule, coarse = choices.known_schedule, choices.cold_heat()
-    fine = island_heat(PLATE, laid.islands, schedule.beam_s, schedule.time_s, PROFILE, 10.0, fine=True)
-    assert fine.modes.mean.shape[0] > coarse.modes.mean.shape[0]
-    order = scan_order("farthest", choices)
-    start, end, _ = clocked(schedule, order, RAPID)
-    coarse_k, _ = entry_temperatures(coarse, choices.area_mm2, order, start, end)
-    fine_k, _ = entry_temperatures(fine, choices.area_mm2, order, start, end)
-    assert np.corrcoef(coarse_k, fine_k)[0, 1] > 0.99
 
 
 def test_comparison_has_a_row_an_order_and_the_figures_of_the_plans():
@@ -249,25 +180,8 @@ def test_an_installed_order_plans(tmp_path, monkeypatch):
         plan_scan(PLATE, PROFILE, order="spiral")
 
 
-@pytest.mark.slow
-def test_two_thousand_islands_are_planned():
-    config = PROFILE.changed(scan={"hexagon_side_mm": 4.0})
-    plan = plan_scan(shapely.box(0, 0, 400, 230), config, order="thermal")
-    assert len(plan.islands) > 2000
-    assert np.array_equal(np.sort(plan.order), np.arange(len(plan.islands)))
-
-
 def blas_threads():
     return {library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"}
-
-
-def test_blas_has_one_thread_while_any_layer_is_planned():
-    before = blas_threads()
-    with one_blas_thread():
-        with one_blas_thread():
-            assert blas_threads() == {1}
-        assert blas_threads() == {1}
-    assert blas_threads() == before
 
 
 def test_blas_has_one_thread_whichever_thread_asks_first_and_leaves_last():
@@ -289,3 +203,108 @@ def test_blas_has_one_thread_whichever_thread_asks_first_and_leaves_last():
             assert blas_threads() == {1}
             worker.submit(there.__exit__, None, None, None).result()
         assert blas_threads() == before
+
+
+# -- islands entered at cool ends ---------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def order(choices):
+    return scan_order("thermal", choices)
+
+
+def driven_by(islands, order, options):
+    """Start, end, travel, and the rises at all ends."""
+    schedule = islands.known_schedule
+    start, end, travel = clocked(schedule, order, RAPID, options)
+    heat = islands.cold_heat()
+    at = modes_at_entries(heat, schedule)
+    return start, end, travel, rises_at_entries(heat, at, order, start, end, options)
+
+
+def entered_at(islands, order, options):
+    """Rises (I,) where the beam enters the islands, and the travel."""
+    *_, travel, rise_k = driven_by(islands, order, options)
+    return rise_k[np.arange(len(order)), options], travel
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_no_options_at_all_are_better_at_a_price(seed):
+    random = np.random.default_rng(seed)
+    count = 5
+    entry, leave = random.uniform(0, 60, (2, count, OPTIONS, 2))
+    share, price = random.uniform(0.3, 1.3, (count, OPTIONS)), 10.0 ** random.uniform(-5, 0)
+    order = random.permutation(count)
+
+    def spent(options):
+        jumps = entry[order[1:], options[order[1:]]] - leave[order[:-1], options[order[:-1]]]
+        travel = np.hypot(*jumps.T).sum()
+        return (share[np.arange(count), options] ** 12).sum() + price * travel, travel
+
+    options, travel_mm = options_by_price(share, order, entry, leave, price)
+    best = min(spent(np.array(tried))[0] for tried in itertools.product(range(OPTIONS), repeat=count))
+    assert spent(options)[0] == pytest.approx(best)
+    assert spent(options)[1] == pytest.approx(travel_mm)
+
+
+def test_travel_is_kept_and_more_of_it_is_never_warmer(choices, order):
+    schedule = choices.known_schedule
+    options = nearest_options(order, schedule.entry, schedule.leave)
+    *_, nearest_mm, rise_k = driven_by(choices, order, options)
+    warm = np.inf
+    for share in (0.5, 0.97, 1.0, 1.05, 1.2, 3.0):
+        chosen = affordable(rise_k, order, schedule.entry, schedule.leave, share * nearest_mm)
+        travel_mm = entered_at(choices, order, chosen)[1]
+        if share < 0.9:  # no ways are as short: the shortest, which are no longer than the nearest
+            shortest_mm = travel_mm
+            assert shortest_mm <= nearest_mm
+            continue
+        assert travel_mm <= max(share * nearest_mm, shortest_mm) + 1e-6
+        found = high_mean(rise_k[np.arange(len(order)), chosen])
+        assert found <= warm * (1.0 + 1e-9)
+        warm = found
+    assert warm == pytest.approx(high_mean(rise_k.min(axis=1)), rel=1e-6)
+
+
+def test_thermal_enters_islands_at_cooler_ends_within_its_travel(choices, order):
+    schedule = choices.known_schedule
+    nearest = nearest_options(order, schedule.entry, schedule.leave)
+    before_k, before_mm = entered_at(choices, order, nearest)
+    options = chosen_options("thermal", choices, order)
+    after_k, after_mm = entered_at(choices, order, options)
+    assert after_mm <= max(longest_travel_mm(choices), before_mm) + 1e-6
+    assert high_mean(after_k) < 0.97 * high_mean(before_k)
+    assert np.array_equal(
+        cool_options(choices.cold_heat(), schedule, order, RAPID, longest_travel_mm(choices)), options
+    ), "the same whenever it is asked"
+
+
+@pytest.mark.parametrize("name", ["raster", "farthest", "nearest", "least-heat"])
+def test_other_orders_take_the_nearest_end(choices, name):
+    found = scan_order(name, choices)
+    assert (chosen_options(name, choices, found) == NEAREST).all()
+
+
+def test_lines_are_driven_from_the_end_that_was_chosen():
+    # Two islands of two lines each, and one whose lines follow each other.
+    start = np.array([[0.0, 0.0], [9.0, 4.0], [30.0, 0.0], [39.0, 4.0], [60.0, 0.0], [69.0, 0.0]])
+    end = np.array([[9.0, 0.0], [0.0, 4.0], [39.0, 0.0], [30.0, 4.0], [69.0, 0.0], [69.0, 9.0]])
+    first, chained = np.array([0, 2, 4, 6]), np.array([False, False, True])
+    order = np.arange(3)
+    entries = {0: (30.0, 0.0), 1: (39.0, 0.0), 2: (30.0, 4.0), 3: (39.0, 4.0)}
+    for option, place in entries.items():
+        rows, turned = in_sequence(start, end, first, order, chained, np.array([0, option, NEAREST]))
+        begins = np.where(turned[:, None], end[rows], start[rows])
+        assert tuple(begins[2]) == place
+        assert sorted(rows) == list(range(6))
+    rows, turned = in_sequence(start, end, first, order, chained, np.array([0, 0, 2]))
+    assert (rows[4:].tolist(), turned[4:].tolist()) == ([5, 4], [True, True]), "backwards as a whole"
+
+
+def test_islands_of_a_plan_begin_at_the_ends_that_were_chosen():
+    compared = OrderComparison.of(PLATE, PROFILE, 0, 10.0)
+    result = compared.result("thermal", 0)
+    first = result.plan.vectors.drop_duplicates("island").set_index("island").sort_index()
+    options = chosen_options("thermal", compared.islands, np.argsort(result.rank))
+    entries = compared.islands.known_schedule.entry[first.index, options[first.index]]
+    assert first[["x0", "y0"]].to_numpy() == pytest.approx(entries)

@@ -18,9 +18,7 @@ HEIGHT_MM = 0.75
 
 WEDGE = shapely.Polygon([(0, 0), (120, -16), (120, 16)])
 """Its tip has 15 degrees: an inset there moves seven times as far as the outline."""
-NECK = shapely.union_all(
-    [shapely.box(0, 0, 40, 40), shapely.box(60, 0, 100, 40), shapely.box(39, 17, 61, 23.02)]
-)
+NECK = shapely.union_all([shapely.box(0, 0, 40, 40), shapely.box(60, 0, 100, 40), shapely.box(39, 17, 61, 23.02)])
 """Its neck is 6.02 mm wide, just over two insets."""
 
 

@@ -70,9 +70,7 @@ def test_a_quick_check_says_that_it_believes_the_record(made):
 def test_a_run_that_is_not_validated_stays_so(shut):
     found = failed(shut[0])
     assert "gate deposit" in found
-    assert not {"certificate seal", "certificate", "recorded figures", "verdict", "file unchanged"} & set(
-        found
-    )
+    assert not {"certificate seal", "certificate", "recorded figures", "verdict", "file unchanged"} & set(found)
 
 
 def test_the_part_is_looked_for_where_it_was(made, tmp_path):

@@ -155,9 +155,7 @@ def tables(run):
     """Tables of a run, byte for byte, and what its record says but for what is of the slabs."""
     record = json.loads((run / "run.json").read_text())
     judged = {name: record[name] for name in ("gates", "comparison", "findings", "exit_code", "primary")}
-    counts = {
-        n: [b[k] for k in ("status", "rings", "points", "settings")] for n, b in record["backends"].items()
-    }
+    counts = {n: [b[k] for k in ("status", "rings", "points", "settings")] for n, b in record["backends"].items()}
     return (run / "layers.csv").read_bytes(), (run / "compare.csv").read_bytes(), judged, counts
 
 

@@ -147,9 +147,7 @@ def test_a_run_of_a_step_within_a_layer_is_not_validated_and_verify_finds_it_aga
     again = json.loads(ebamcheck("verify", "run", "--json", cwd=tmp_path).stdout)
     assert {check["name"] for check in again if not check["passed"]} == {"gate deposit", "metal of the solid"}
     alone = ebamcheck("verify", "run/program", "--part", "two.stl", "--json", cwd=tmp_path)
-    assert "metal of the solid" in {
-        check["name"] for check in json.loads(alone.stdout) if not check["passed"]
-    }
+    assert "metal of the solid" in {check["name"] for check in json.loads(alone.stdout) if not check["passed"]}
 
 
 @pytest.mark.slow

@@ -166,13 +166,9 @@ def test_the_help_lists_commands_by_group_with_what_each_says_of_itself():
     assert re.findall(r"^  (\w+) .*", first, re.MULTILINE) == [*GROUPS["Start here"]]
     assert "..." not in first
     assert "Plug-ins" not in shown, "give each command of the house a group"
-    assert {"run", "slice", "config", "warm", "sign", "regress", "paper", "scan"} <= set(
-        GROUP.list_commands(context)
-    )
+    assert {"run", "slice", "config", "warm", "sign", "regress", "paper", "scan"} <= set(GROUP.list_commands(context))
     for name in GROUP.list_commands(context):
-        assert (
-            f"{name} {GROUP.get_command(context, name).get_short_help_str(60).removesuffix('...')}" in listed
-        )
+        assert f"{name} {GROUP.get_command(context, name).get_short_help_str(60).removesuffix('...')}" in listed
 
 
 def test_the_shell_completes_commands_and_options(tmp_path):

@@ -50,9 +50,7 @@ def test_settings_that_make_no_sense_are_refused(wrong):
         Stencil.Settings(**wrong)
 
 
-@pytest.mark.parametrize(
-    ("extent", "pixel"), [(10.0, 10 / 1024), (200.0, 0.1), (900.0, 900 / 4096), (0.0, 0.1)]
-)
+@pytest.mark.parametrize(("extent", "pixel"), [(10.0, 10 / 1024), (200.0, 0.1), (900.0, 900 / 4096), (0.0, 0.1)])
 def test_the_automatic_pixel(extent, pixel):
     flat = from_arrays([(5, 5, 0), (5 + extent, 5, 0), (5, 5, 1)], [(0, 1, 2)])
     assert field_of_view(flat, None).pixel_mm == pytest.approx(pixel, rel=1e-14)

@@ -78,9 +78,7 @@ def test_tiles_give_the_same_bytes(mode):
 
 def test_a_crowded_window_is_drawn_in_parts():
     """Two hundred plates over one corner of the field: no estimate foresees them in one band."""
-    plates = join(
-        box(upper=(0.1, 30, 0.1)), *[moved(box(upper=(3, 1, 0.5)), shift=(0, 0, i)) for i in range(200)]
-    )
+    plates = join(box(upper=(0.1, 30, 0.1)), *[moved(box(upper=(3, 1, 0.5)), shift=(0, 0, i)) for i in range(200)])
     few = cut(plates, [0.05, 7.25, 100.75], pixel_mm=0.1, buffer_mb=0.05)
     assert same(few, cut(plates, [0.05, 7.25, 100.75], pixel_mm=0.1))
     with pytest.raises(BackendFailed, match="buffer_mb"):

@@ -21,12 +21,7 @@ from ebamcheck.mesh.topology import weld
 
 def binary(triangles, header=b"", count=None, trailing=b""):
     facets = b"".join(struct.pack("<12fH", *([0.0] * 3), *np.ravel(t), 0) for t in triangles)
-    return (
-        header.ljust(80, b" ")
-        + struct.pack("<I", len(triangles) if count is None else count)
-        + facets
-        + trailing
-    )
+    return header.ljust(80, b" ") + struct.pack("<I", len(triangles) if count is None else count) + facets + trailing
 
 
 def binary_file(corners):
@@ -152,9 +147,7 @@ def test_other_formats_give_the_same_part(tmp_path: Path, kind):
     assert read.volume == pytest.approx(part.volume, rel=1e-6)
 
 
-@pytest.mark.parametrize(
-    "name", ["missing.stl", "folder.stl", "broken.obj", "broken.ply", "broken.3mf", "part.step"]
-)
+@pytest.mark.parametrize("name", ["missing.stl", "folder.stl", "broken.obj", "broken.ply", "broken.3mf", "part.step"])
 def test_unreadable_files_of_any_kind_are_refused(tmp_path: Path, name):
     (tmp_path / "folder.stl").mkdir()
     for suffix in ("obj", "ply", "3mf"):
@@ -199,9 +192,7 @@ def test_welded_vertices_are_numbered_by_first_appearance(facets, kind, threads,
     triangles[triangles == 0] *= rng.choice([-1, 1], (triangles == 0).sum()).astype(kind)
     vertices, faces = weld(triangles)
     numbers: dict[tuple[float, ...], int] = {}
-    expected = [
-        numbers.setdefault(tuple(corner), len(numbers)) for corner in triangles.reshape(-1, 3).tolist()
-    ]
+    expected = [numbers.setdefault(tuple(corner), len(numbers)) for corner in triangles.reshape(-1, 3).tolist()]
     assert faces.ravel().tolist() == expected
     assert vertices.tolist() == [list(corner) for corner in numbers]
     assert not np.signbit(vertices[vertices == 0]).any()
@@ -352,9 +343,7 @@ def test_a_cut_obj_is_refused_or_told_unless_it_ends_with_a_line():
             _, notes = read_obj(data[:size], "x.obj")
         except InputError:
             continue
-        assert notes or data[size - 1 : size] == b"\n" or not data[:size].splitlines()[-1].startswith(b"f"), (
-            size
-        )
+        assert notes or data[size - 1 : size] == b"\n" or not data[:size].splitlines()[-1].startswith(b"f"), size
 
 
 def test_polygons_of_mixed_lengths_are_the_part():

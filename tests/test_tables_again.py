@@ -68,9 +68,7 @@ def other_figure(path, column):
         is_list = pa.types.is_large_list(values.type)
         numbers = (values.flatten() if is_list else values).to_numpy(zero_copy_only=False).copy()
         numbers[-1] = 1.01 * numbers[-1] + 1e-3
-        other = (
-            pa.LargeListArray.from_arrays(values.offsets, pa.array(numbers)) if is_list else pa.array(numbers)
-        )
+        other = pa.LargeListArray.from_arrays(values.offsets, pa.array(numbers)) if is_list else pa.array(numbers)
         table = table.set_column(table.column_names.index(column), column, other)
     pq.write_table(table, path)
 

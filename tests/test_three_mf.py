@@ -45,9 +45,7 @@ def put(tmp_path: Path):
 )
 def test_the_unit_of_the_file_holds_and_is_told(put, unit, ours, size):
     path = put(
-        package(
-            model(box(1, (60, 30, 30)), ONE, 'objectid="1" transform="1 0 0 0 1 0 0 0 1 60 0 0"', unit=unit)
-        )
+        package(model(box(1, (60, 30, 30)), ONE, 'objectid="1" transform="1 0 0 0 1 0 0 0 1 60 0 0"', unit=unit))
     )
     part = ebamcheck.load(path)
     assert part.size == pytest.approx((2 * size[0], *size[1:]), rel=1e-7)
@@ -113,9 +111,7 @@ def test_transforms_of_items_and_components_follow_each_other(put):
 NOTES = "Metadata/Slic3r_PE_model.config"
 RANGED = '<config><object id="1"><volume firstid="0" lastid="11"><metadata type="volume" key="volume_type" value="ModelPart"/></volume><volume firstid="12" lastid="23"><metadata type="volume" key="{}" value="{}"/></volume></object></config>'
 TWO = f'<object id="1" type="model">{mesh(((0, 0, 0), A), ((20, 20, 8), (20, 20, 22)))}</object>'
-BAMBU = (
-    '<config><object id="5"><part id="1" subtype="normal_part"/><part id="7" subtype="{}"/></object></config>'
-)
+BAMBU = '<config><object id="5"><part id="1" subtype="normal_part"/><part id="7" subtype="{}"/></object></config>'
 
 
 def _with(name: str, text: str, data: bytes, put) -> Path:

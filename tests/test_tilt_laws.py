@@ -78,15 +78,11 @@ def test_positions_of_the_usual_tables():
 
 @settings(deadline=None, max_examples=12)
 @given(UNIT, UNIT, POINT, POINT, st.sampled_from([1, -1]), st.floats(-80, 80), st.floats(-80, 80))
-def test_what_is_written_through_a_table_is_read_as_without_it(
-    tmp_path_factory, a, b, p, q, sign, first, second
-):
+def test_what_is_written_through_a_table_is_read_as_without_it(tmp_path_factory, a, b, p, q, sign, first, second):
     """Turning the part with its direction, and back: the coordinates on the part are those of the program without a table."""
     if np.linalg.norm(np.cross(np.array(a) / np.linalg.norm(a), np.array(b) / np.linalg.norm(b))) < 0.3:
         return
-    axes = [
-        {"name": n, "axis": v, "point_mm": c, "sign": s} for n, v, c, s in (("A", a, p, sign), ("C", b, q, 1))
-    ]
+    axes = [{"name": n, "axis": v, "point_mm": c, "sign": s} for n, v, c, s in (("A", a, p, sign), ("C", b, q, 1))]
     wide = {"travel_min_mm": (-9e3,) * 3, "travel_max_mm": (9e3,) * 3}
     plain = Config().changed(machine={"rotary": axes, **wide})
     up = table_motion(plain.machine.rotary, (first, second))[0].T @ [0.0, 0.0, 1.0]
@@ -115,9 +111,7 @@ def test_what_is_written_through_a_table_is_read_as_without_it(
 @settings(deadline=None, max_examples=60)
 @given(POINT, ANGLE, POINT, st.sampled_from("XYZ"))
 def test_frames_follow_one_another_as_scipy_turns_them(first, angle_deg, second, name):
-    frame = frame_after(
-        " ".join(["TRANS", *(f"{n}{v:.6f}" for n, v in zip("XYZ", first, strict=True))]), NONE
-    )
+    frame = frame_after(" ".join(["TRANS", *(f"{n}{v:.6f}" for n, v in zip("XYZ", first, strict=True))]), NONE)
     frame = frame_after(f"AROT {name}{angle_deg:.6f}", frame)
     frame = frame_after(f"ATRANS X={second[0]:.6f}", frame)
     own = Rotation.from_euler(name.lower(), angle_deg, degrees=True)

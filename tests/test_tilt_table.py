@@ -45,9 +45,7 @@ def place(tmp_path_factory):
     folder = tmp_path_factory.mktemp("table")
     write_stl(angle(), folder / "angle.stl")
     (folder / "table.toml").write_text(TABLE)
-    done = ebamcheck(
-        "run", "angle.stl", "-o", "angle.run", "--backends", FAST, "-c", "table.toml", cwd=folder
-    )
+    done = ebamcheck("run", "angle.stl", "-o", "angle.run", "--backends", FAST, "-c", "table.toml", cwd=folder)
     assert (folder / "angle.run" / "run.json").is_file(), done.stdout + done.stderr
     done = relayer(folder, folder / "o")
     assert done.returncode == 0, done.stdout + done.stderr
@@ -145,9 +143,7 @@ def test_a_direction_up_gives_the_same_bytes(place, tmp_path):
             cwd=tmp_path,
         )
         assert done.returncode == 0, done.stdout + done.stderr
-        outs.append(
-            {p.name: sha256_of_file(p) for p in (tmp_path / name / "layers").rglob("*") if p.is_file()}
-        )
+        outs.append({p.name: sha256_of_file(p) for p in (tmp_path / name / "layers").rglob("*") if p.is_file()})
     assert outs[0] == outs[1] == outs[2]
     assert len(outs[0]) == 4
 
@@ -272,9 +268,7 @@ def test_a_part_that_stands_otherwise_than_the_settings_say_is_found(place, tmp_
     found = text.failed()
     assert found["mounting"].value == pytest.approx(0.2)
     assert "frame" in found
-    text.config = text.config.changed(
-        part={"on_table": {**known.model_dump(), "high_mm": (45.0, 24.0, 30.0)}}
-    )
+    text.config = text.config.changed(part={"on_table": {**known.model_dump(), "high_mm": (45.0, 24.0, 30.0)}})
     assert "mounting" in text.failed()
 
 

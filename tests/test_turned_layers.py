@@ -21,9 +21,7 @@ def angle(depth=24.0):
     """An upright of 20 mm, 60 mm high, from whose top an arm of 15 mm reaches 25 mm along X."""
     profile = np.array([[0, 0], [20, 0], [20, 45], [45, 45], [45, 60], [0, 60]], np.float64)
     count = len(profile)
-    vertices = np.vstack(
-        [np.column_stack([profile[:, 0], np.full(count, y), profile[:, 1]]) for y in (0.0, depth)]
-    )
+    vertices = np.vstack([np.column_stack([profile[:, 0], np.full(count, y), profile[:, 1]]) for y in (0.0, depth)])
     # Of the profile, which is seen along Y: front and back, and the sides between.
     front = [(0, 1, 2), (0, 2, 5), (2, 3, 4), (2, 4, 5)]
     faces = [list(f) for f in front] + [[f[0] + count, f[2] + count, f[1] + count] for f in front]

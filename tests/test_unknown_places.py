@@ -39,9 +39,7 @@ def test_beads_from_a_place_that_no_block_has_given_cover_nothing(lines, tmp_pat
 def test_a_text_without_x_fails_its_checks(tmp_path):
     made = Made(tmp_path, shapely.box(0, 0, 36, 30), layers=2)
     for name in ("MAIN.MPF", "MAIN_L0001.SPF", "MAIN_L0002.SPF"):
-        made.edit(
-            name, lambda text: text.__setitem__(slice(None), [re.sub(r" X-?[\d.]+", "", t) for t in text])
-        )
+        made.edit(name, lambda text: text.__setitem__(slice(None), [re.sub(r" X-?[\d.]+", "", t) for t in text]))
     nc, heights = made.read(), made.layers.heights
     given = {"layers": made.layers, "heights": heights, "beads": True, "metal": True, "heat": True}
     failed = {check.name for check in verify_program(nc, config=made.config, **given) if not check.passed}

@@ -72,18 +72,14 @@ def test_columns_come_back() -> None:
 
 
 def test_texts_come_back_but_for_numbers_in_steps_of_ten() -> None:
-    assert (
-        inflated(packed_text(b"%_N\nN10 G0\nN20 X1\nN25 X2\nN35 X3\n")) == b"%_N\n\1G0\n\1X1\nN25 X2\n\1X3\n"
-    )
+    assert inflated(packed_text(b"%_N\nN10 G0\nN20 X1\nN25 X2\nN35 X3\n")) == b"%_N\n\1G0\n\1X1\nN25 X2\n\1X3\n"
 
 
 def test_motions_take_the_time_of_the_program(plate: Path, contents: Contents) -> None:
     table = RunData(RunFolder(plate)).table("program.csv")
     for k, row in enumerate(table.itertuples()):
         columns = unpacked(contents.blobs[f"L{k + 1}"])
-        assert columns["m.ms"].sum() / 1000 == pytest.approx(
-            row.deposit_s + row.travel_s, abs=1e-3 * row.motions
-        )
+        assert columns["m.ms"].sum() / 1000 == pytest.approx(row.deposit_s + row.travel_s, abs=1e-3 * row.motions)
         assert len(columns["m.kind"]) == row.motions
 
 
@@ -146,9 +142,7 @@ def test_the_command_writes_a_page(plate: Path, tmp_path: Path) -> None:
         assert what in refused.stderr
 
 
-def test_a_browser_shows_the_layer_and_block_of_an_address(
-    plate: Path, contents: Contents, tmp_path: Path
-) -> None:
+def test_a_browser_shows_the_layer_and_block_of_an_address(plate: Path, contents: Contents, tmp_path: Path) -> None:
     page = tmp_path / "plate.html"
     page.write_text(document(contents), encoding="utf-8")
     file = contents.index["files"][1]

@@ -41,9 +41,7 @@ from ebamcheck_trimesh import TrimeshSections
 
 WITNESSES: list[Any] = [Slic3r(), Cura(), Prusa(), TrimeshSections()]
 PROGRAMS: list[Any] = WITNESSES[:3]
-INTERPRETER = Program(
-    "Python", sys.executable, "NO_SUCH_VARIABLE", "python3", ("--version",), r"Python (\S+)"
-)
+INTERPRETER = Program("Python", sys.executable, "NO_SUCH_VARIABLE", "python3", ("--version",), r"Python (\S+)")
 
 
 def available(witness: Any) -> None:
@@ -66,12 +64,8 @@ def within_bounds(witness: Any, part: Part, heights: Any) -> None:
     """The layers of a witness agree with those of the exact slicer of this house within the declared bound."""
     exact, found = cut(PlaneCut(), part, heights), cut(witness, part, heights)
     slack_mm = 1e-6 * float(part.size.max())
-    bound_mm = witness.error_bound_mm(part, witness.Settings()) + witness.height_bound_mm(
-        part, witness.Settings()
-    )
-    table = compare(
-        exact, found, tolerance_mm=slack_mm, bound_b_mm=bound_mm, exact_a=True, exact_b=witness.exact
-    )
+    bound_mm = witness.error_bound_mm(part, witness.Settings()) + witness.height_bound_mm(part, witness.Settings())
+    table = compare(exact, found, tolerance_mm=slack_mm, bound_b_mm=bound_mm, exact_a=True, exact_b=witness.exact)
     assert table["agrees"].all(), table[~table["agrees"]].to_string()
     assert (found.areas() > 0.0).all()
 
@@ -88,9 +82,7 @@ def test_nested_rings_are_turned_by_their_depth() -> None:
     def square(low: float, high: float) -> list[tuple[float, float]]:
         return [(low, low), (low, high), (high, high), (high, low)]
 
-    raw = from_rings(
-        [1.0], [[square(0, 9), square(1, 8), square(2, 7)[::-1], square(20, 21)]], [[[(0, 0), (5, 5)]]]
-    )
+    raw = from_rings([1.0], [[square(0, 9), square(1, 8), square(2, 7)[::-1], square(20, 21)]], [[[(0, 0), (5, 5)]]])
     found = directed_by_nesting(raw, 1e-9, "a slicer")
     assert sorted(found.ring_areas.tolist()) == [-49.0, 0.0, 1.0, 25.0, 81.0]
     assert found.open_counts().tolist() == [1]
@@ -355,12 +347,7 @@ def png(image: Any, filtered: int = 0) -> bytes:
         return struct.pack(">I", len(body)) + word + body + struct.pack(">I", zlib.crc32(word + body))
 
     head = struct.pack(">IIBBBBB", image.shape[1], image.shape[0], 8, 0, 0, 0, 0)
-    return (
-        b"\x89PNG\r\n\x1a\n"
-        + chunk(b"IHDR", head)
-        + chunk(b"IDAT", zlib.compress(data))
-        + chunk(b"IEND", b"")
-    )
+    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", zlib.compress(data)) + chunk(b"IEND", b"")
 
 
 @pytest.mark.parametrize("filtered", [0, 1, 2])
@@ -375,9 +362,7 @@ def test_images_of_prusaslicer_are_read(tmp_path: Path, filtered: int) -> None:
     ((number, solid),) = archived_images(tmp_path / "part.sl1")
     assert number == 1
     assert np.array_equal(solid, image[::-1] > 127)
-    outer, hole = sorted(
-        contours(solid), key=lambda ring: -len(shapely.Polygon(ring).wkb) - shapely.Polygon(ring).area
-    )
+    outer, hole = sorted(contours(solid), key=lambda ring: -len(shapely.Polygon(ring).wkb) - shapely.Polygon(ring).area)
     assert shapely.Polygon(outer).bounds == (5.0, 8.0, 25.0, 18.0)
     assert shapely.Polygon(hole).bounds == (8.0, 12.0, 20.0, 15.0)
     assert shapely.LinearRing(outer).is_ccw
@@ -411,9 +396,7 @@ class Counted:
 
     def __call__(self, lattice: Lattice) -> Layers:
         self.runs.append(lattice)
-        return from_rings(
-            lattice.heights, [[[(0, 0), (z, 0), (z, z), (0, z)]] for z in lattice.heights.tolist()]
-        )
+        return from_rings(lattice.heights, [[[(0, 0), (z, 0), (z, z), (0, z)]] for z in lattice.heights.tolist()])
 
 
 def test_blocks_of_a_stack_are_cut_once_and_come_back_in_order() -> None:

@@ -6,9 +6,7 @@ import io
 import zipfile
 
 CORE = "http://schemas.microsoft.com/3dmanufacturing/core/2015/02"
-PRODUCTION = (
-    'xmlns:p="http://schemas.microsoft.com/3dmanufacturing/production/2015/06" requiredextensions="p"'
-)
+PRODUCTION = 'xmlns:p="http://schemas.microsoft.com/3dmanufacturing/production/2015/06" requiredextensions="p"'
 KIND = "http://schemas.microsoft.com/3dmanufacturing/2013/01/3dmodel"
 QUADS = ((0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5))
 
@@ -18,9 +16,7 @@ def mesh(*boxes: tuple[tuple[float, float, float], tuple[float, float, float]]) 
     points, facets = [], []
     for at, size in boxes:
         first = len(points)
-        points += [
-            [a + s * (k >> n & 1) for n, (a, s) in enumerate(zip(at, size, strict=True))] for k in range(8)
-        ]
+        points += [[a + s * (k >> n & 1) for n, (a, s) in enumerate(zip(at, size, strict=True))] for k in range(8)]
         facets += [[first + q[i] for i in t] for q in QUADS for t in ((0, 1, 2), (0, 2, 3))]
     vertices = "".join(f'<vertex x="{x:g}" y="{y:g}" z="{z:g}"/>' for x, y, z in points)
     triangles = "".join(f'<triangle v1="{a}" v2="{b}" v3="{c}"/>' for a, b, c in facets)
@@ -79,8 +75,7 @@ def package(
             "_rels/.rels",
             f'<Relationships xmlns="{space}relationships">'
             + "".join(
-                f'<Relationship Id="s{k}" Target="/{start}" Type="{KIND}"/>'
-                for k, start in enumerate(starts or (at,))
+                f'<Relationship Id="s{k}" Target="/{start}" Type="{KIND}"/>' for k, start in enumerate(starts or (at,))
             )
             + "</Relationships>",
         )

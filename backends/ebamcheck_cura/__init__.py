@@ -72,9 +72,7 @@ class Cura:
     def error_bound_mm(self, part: Part, settings: BackendSettings) -> float:
         """Return the rounding of coordinates to 32 bits and to whole units, and the merging of vertices, mm."""
         units = MERGE_UNITS + OTHER_UNITS
-        return 2.0 * lattices.coordinate_rounding_mm(part) + units * UNIT / lattices.scale_to(
-            part, WORKING_SIZE
-        )
+        return 2.0 * lattices.coordinate_rounding_mm(part) + units * UNIT / lattices.scale_to(part, WORKING_SIZE)
 
     def height_bound_mm(self, part: Part, settings: BackendSettings) -> float:
         """Return the rounding of heights to 32 bits and to whole units, and the merging of vertices, mm."""
@@ -95,9 +93,7 @@ def definitions() -> Path:
     for folder in map(Path, (named,) if named else USUAL_DEFINITIONS):
         if (folder / PRINTER).is_file() and (folder / EXTRUDER).is_file():
             return folder
-    raise BackendMissing(
-        f"Cura's definitions ({PRINTER}, {EXTRUDER}) are not in {named or USUAL_DEFINITIONS[0]}"
-    )
+    raise BackendMissing(f"Cura's definitions ({PRINTER}, {EXTRUDER}) are not in {named or USUAL_DEFINITIONS[0]}")
 
 
 def _cut(part: Part, settings: ProgramSettings, definitions: Path, lattice: Lattice) -> Layers:

@@ -161,9 +161,7 @@ def column_knots(grid: Grid, rows: Knots, columns: RayColumns) -> tuple[Knots, B
 
 
 @kernel
-def _middle(
-    along: Floats, first: int, past: int, a: int, b: int, low: float, high: float
-) -> tuple[float, int]:
+def _middle(along: Floats, first: int, past: int, a: int, b: int, low: float, high: float) -> tuple[float, int]:
     """Place and number of the middle border, of `a` to `b - 1`, of a ray on the grid edge (low, high].
 
     Where there is none, the number is -1, and a border of the ray within half an edge beyond an end counts as at that end.

@@ -20,7 +20,9 @@ _LEAST_STEP = np.finfo(np.float32).tiny  # past a facet at coordinate 0, mm
 class Sections(NamedTuple):
     """Sections at several heights, facet by facet, so that a facet's segment at a height is found directly."""
 
-    first: Ints  # (F,) first height at which each facet is cut; its segments are those of consecutive heights from there
+    first: (
+        Ints  # (F,) first height at which each facet is cut; its segments are those of consecutive heights from there
+    )
     starts: Ints  # (F + 1,) first segment of each facet
     segments: Floats  # (S, 4) start and end of each segment, mm; material on its left
 
@@ -158,14 +160,10 @@ def hits_of_rays(begins: Ints, ends: Ints, count: int) -> Hits:
     passed = np.bincount(begins, minlength=count + 1) - np.bincount(ends, minlength=count + 1)
     starts = np.concatenate([[0], np.cumsum(np.cumsum(passed[:count]))])
     size = int(starts[-1])
-    return Hits(
-        starts, np.zeros(count, np.int64), np.empty(size), np.empty(size, np.int64), np.empty(size, np.int32)
-    )
+    return Hits(starts, np.zeros(count, np.int64), np.empty(size), np.empty(size, np.int64), np.empty(size, np.int32))
 
 
-def fill_short_rays(
-    hits: Hits, sections: Sections, axis: int, lines: Floats, begins: Ints, ends: Ints
-) -> None:
+def fill_short_rays(hits: Hits, sections: Sections, axis: int, lines: Floats, begins: Ints, ends: Ints) -> None:
     """Take the hits of rays that fell short of their number from the segments that they cross."""
     short = hits.known < np.diff(hits.starts)
     if not short.any():

@@ -97,9 +97,7 @@ def _merged(points: Floats, rows: Ints, sheet: Index, reach_mm: float) -> Ints:
         node = least
 
 
-def _through_points(
-    points: Floats, start: Ints, end: Ints, of: Index, reach_mm: float
-) -> tuple[Ints, Ints, Index]:
+def _through_points(points: Floats, start: Ints, end: Ints, of: Index, reach_mm: float) -> tuple[Ints, Ints, Index]:
     """Sides from `start` to `end` (S,) of sheets `of`, led in order through all points of other bodies within their reach."""
     # A point of several bodies is one of each.
     used, which = np.unique(start, return_inverse=True)
@@ -108,9 +106,7 @@ def _through_points(
     np.maximum.at(most, which, of)
     sheet = np.where(least == most, least, SEVERAL).astype(np.int32)
     sides = np.asarray(shapely.linestrings(np.stack([points[start], points[end]], axis=1)), dtype=object)
-    near, side = shapely.STRtree(sides).query(
-        shapely.points(points[used]), predicate="dwithin", distance=reach_mm
-    )
+    near, side = shapely.STRtree(sides).query(shapely.points(points[used]), predicate="dwithin", distance=reach_mm)
     at = used[near]
     inner = (at != start[side]) & (at != end[side]) & _differ(sheet[near], of[side])
     at, side = at[inner], side[inner]
@@ -120,9 +116,7 @@ def _through_points(
     every = np.arange(start.size)
     nodes = np.concatenate([start, at, end])
     owner = np.concatenate([every, side, every])
-    order = np.lexsort(
-        (np.concatenate([np.full(start.size, -np.inf), share, np.full(end.size, np.inf)]), owner)
-    )
+    order = np.lexsort((np.concatenate([np.full(start.size, -np.inf), share, np.full(end.size, np.inf)]), owner))
     nodes, owner = nodes[order], owner[order]
     follows = owner[1:] == owner[:-1]
     return nodes[:-1][follows], nodes[1:][follows], of[owner[:-1][follows]]
@@ -159,9 +153,7 @@ def unite(layer: Layers, kind: int, reach_mm: float, sheets: ShortInts) -> Layer
         rows = np.repeat(keep, np.diff(layer.ring_starts))
         sizes = np.diff(layer.ring_starts)[keep]
         starts = np.concatenate([[0], np.cumsum(sizes)])
-        return _canonical(
-            layer, layer.points[rows], starts, layer.closed[keep], layer.edge[rows], layer.edge_t[rows]
-        )
+        return _canonical(layer, layer.points[rows], starts, layer.closed[keep], layer.edge[rows], layer.edge_t[rows])
     found = arrangement(layer, reach_mm, sheets)
     if not found.seams and np.isin(found.winding, (0, 1)).all():
         return None
@@ -179,14 +171,10 @@ def unite(layer: Layers, kind: int, reach_mm: float, sheets: ShortInts) -> Layer
     return _canonical(layer, points, starts, closed, *_known_edges(points, layer))
 
 
-def _canonical(
-    layer: Layers, points: Floats, starts: Ints, closed: Bools, edge: Index, edge_t: Floats
-) -> Layers:
+def _canonical(layer: Layers, points: Floats, starts: Ints, closed: Bools, edge: Index, edge_t: Floats) -> Layers:
     """Put other rings in place of those of a layer."""
     labels = {name: getattr(layer, name) for name in ("part", "direction", "backend", "settings")}
-    again = canonical(
-        layer.heights, points, starts, [0, closed.size], closed, edge=edge, edge_t=edge_t, **labels
-    )
+    again = canonical(layer.heights, points, starts, [0, closed.size], closed, edge=edge, edge_t=edge_t, **labels)
     return again.labelled(dropped=again.dropped + layer.dropped)
 
 

@@ -58,9 +58,7 @@ class PreparedCut:
 
     def turned(self, part: Part) -> PreparedCut:
         """Prepare a part with the same `faces` along another direction, without searching for their neighbours again."""
-        return PreparedCut(
-            part, self._settings, self._before if self._mesh is None else self._mesh, self._sheets
-        )
+        return PreparedCut(part, self._settings, self._before if self._mesh is None else self._mesh, self._sheets)
 
     def _mesh_across(self, heights: NDArray[np.float64]) -> SortedMesh:
         """Sorted mesh with all facets that the planes cross: the whole one or, for a few planes, only these facets."""
@@ -77,9 +75,7 @@ class PreparedCut:
         mesh = self._mesh_across(heights)
         under = vertices_under(mesh, heights)
         rows = np.concatenate([[0], np.cumsum(mesh.crossed[under])])
-        columns = Columns(
-            np.empty((int(rows[-1]), 2)), np.empty((int(rows[-1]), 2), np.int32), np.empty(int(rows[-1]))
-        )
+        columns = Columns(np.empty((int(rows[-1]), 2)), np.empty((int(rows[-1]), 2), np.int32), np.empty(int(rows[-1])))
         unite = self._settings.model_dump()["overlaps"] == "unite"
         reach_mm = PlaneCut().error_bound_mm(self._part, self._settings)
 

@@ -29,7 +29,9 @@ class OverlapSearch(NamedTuple):
     boxes: Floats  # (2 M, 4) xmin, ymin, xmax, ymax of each node; leaf l is node M + l
     ways: NDArray[np.uint8]  # (2 M,) directions of the segments of each node
     ring: ShortInts  # (2 M,) ring of each node, or `SEVERAL_RINGS`
-    first: Ints  # (M + 1,) first segment of each leaf, by the row of its first point; the leaf ends where the next begins
+    first: (
+        Ints  # (M + 1,) first segment of each leaf, by the row of its first point; the leaf ends where the next begins
+    )
     stack: ShortInts  # pairs of nodes waiting to be tested, and whether one follows the other along its ring
     # Segments that come this near to each other meet: what rounding may have moved them apart
     reach_mm: float
@@ -61,15 +63,11 @@ def overlap_search(points: int, reach_mm: float) -> OverlapSearch:
         np.empty(points, np.int64),
     )
     greatest_x, keep = np.empty(points), np.empty(points, np.bool_)
-    return OverlapSearch(
-        boxes, ways, ring, first, stack, reach_mm, outward, first_leaf, greatest_x, around, keep
-    )
+    return OverlapSearch(boxes, ways, ring, first, stack, reach_mm, outward, first_leaf, greatest_x, around, keep)
 
 
 @kernel
-def classify_layer(
-    points: Floats, ring_starts: Ints, closed: Bools, a: int, b: int, search: OverlapSearch
-) -> int:
+def classify_layer(points: Floats, ring_starts: Ints, closed: Bools, a: int, b: int, search: OverlapSearch) -> int:
     """Class of the layer with the rings ``[a, b)`` of a stack in canonical form: clean, nested wrongly, or with rings that touch
     or cross. Unless they touch, `keep` of `search`, which has room for its points, is written for its rings."""
     if a == b:
@@ -179,9 +177,7 @@ def _touching(search: OverlapSearch, leaves: int, points: Floats, ring_starts: I
 
 
 @kernel
-def _leaves_meet(
-    search: OverlapSearch, leaves: int, a: int, b: int, points: Floats, ring_starts: Ints
-) -> bool:
+def _leaves_meet(search: OverlapSearch, leaves: int, a: int, b: int, points: Floats, ring_starts: Ints) -> bool:
     """Whether a segment of leaf `b` meets one of leaf `a`, which is the same or stands before it."""
     boxes, reach_mm = search.boxes, search.reach_mm
     first_a, end_a = search.first[a - leaves], ring_starts[search.ring[a] + 1]
@@ -269,9 +265,7 @@ def _all_kept(
 
 
 @kernel
-def _encloses(
-    search: OverlapSearch, leaf: int, points: Floats, ring_starts: Ints, r: int, x: float, y: float
-) -> bool:
+def _encloses(search: OverlapSearch, leaf: int, points: Floats, ring_starts: Ints, r: int, x: float, y: float) -> bool:
     """Whether (x, y) lies inside ring `r`, whose leaves begin at node `leaf`; on its boundary it does not."""
     inside = False
     for i in range(ring_starts[r], ring_starts[r + 1], SEGMENTS_A_LEAF):

@@ -80,9 +80,7 @@ def crossed_mesh(part: Part, heights: Floats) -> SortedMesh:
     bit."""
     level = np.empty(len(part.vertices), np.uint8)
     run_blocks(lambda a, b: _levels(part.vertices, heights, level, a, b), level.size, FACETS_A_BLOCK)
-    crossed = np.concatenate(
-        run_blocks(lambda a, b: _across(part.faces, level, a, b), len(part.faces), FACETS_A_BLOCK)
-    )
+    crossed = np.concatenate(run_blocks(lambda a, b: _across(part.faces, level, a, b), len(part.faces), FACETS_A_BLOCK))
     corners, faces = np.unique(part.faces[crossed], return_inverse=True)
     mesh = sorted_mesh(Part(part.vertices[corners], faces.reshape(-1, 3).astype(np.int32)))
     mesh.vertices[:, 3] = corners[mesh.vertices[:, 3].astype(np.int64)]
@@ -180,9 +178,7 @@ def _take_lowest(
 
 
 @kernel
-def _move_twins(
-    twin: Index, moved: Index, turn: NDArray[np.uint8], result: Index, start: int, stop: int
-) -> None:
+def _move_twins(twin: Index, moved: Index, turn: NDArray[np.uint8], result: Index, start: int, stop: int) -> None:
     """Write to `result` the twins (3 F,) of the facets ``[start, stop)`` under new numbers; `moved` and `turn` (F,) are
     the new number of each facet, and the new place of the corner that stood first."""
     for f in range(start, stop):

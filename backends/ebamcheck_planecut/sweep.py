@@ -92,9 +92,7 @@ def _write_layer(
     points = track.points
     kept = 0
     for r in range(traced):
-        forms[r, 0], forms[r, 1], forms[r, 2] = ring_form(
-            points, track.starts[r], track.starts[r + 1], track.closed[r]
-        )
+        forms[r, 0], forms[r, 1], forms[r, 2] = ring_form(points, track.starts[r], track.starts[r + 1], track.closed[r])
         if forms[r, 0] != DROPPED:
             order[kept] = r
             kept += 1
@@ -155,9 +153,7 @@ def trace_layer(
                 continue
             if phase != RINGS and _left_by(mesh, seed, under, not forwards)[2] >= 0:
                 continue
-            filled = _walk(
-                mesh, h, under, seed, forwards, phase == RINGS, seen, mark, track, track.starts[rings]
-            )
+            filled = _walk(mesh, h, under, seed, forwards, phase == RINGS, seen, mark, track, track.starts[rings])
             track.closed[rings] = phase == RINGS
             rings += 1
             track.starts[rings] = filled

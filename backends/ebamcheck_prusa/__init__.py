@@ -60,9 +60,7 @@ class Prusa:
     """Contours of images; open meshes and parts of negative volume, which PrusaSlicer mends silently, are refused."""
 
     name: ClassVar[str] = "prusa"
-    summary: ClassVar[str] = (
-        "witness: the program PrusaSlicer (images of an SL1 archive); refuses open meshes"
-    )
+    summary: ClassVar[str] = "witness: the program PrusaSlicer (images of an SL1 archive); refuses open meshes"
     exact: ClassVar[bool] = False
     priority: ClassVar[int] = -40
     coplanar_rule: ClassVar[CoplanarRule] = "undefined"

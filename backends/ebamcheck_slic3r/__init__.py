@@ -138,9 +138,7 @@ def _ring(kind: bytes, text: bytes) -> Floats:
         numbers = np.array(text.replace(b",", b" ").split(), dtype="S").astype(np.float64)
         points = numbers.reshape(-1, 2)
     except ValueError:
-        raise BackendFailed(
-            f"Slic3r wrote points that are none: {text[:60].decode('ascii', 'replace')!r}"
-        ) from None
+        raise BackendFailed(f"Slic3r wrote points that are none: {text[:60].decode('ascii', 'replace')!r}") from None
     points = np.concatenate([points, points[:1]])
     x, y = (points - points[:1]).T
     twice_area = float(np.dot(x[:-1], y[1:]) - np.dot(y[:-1], x[1:]))

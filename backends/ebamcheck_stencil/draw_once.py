@@ -79,9 +79,7 @@ def draw_crossings(
         window = waiting.pop()
         fragments = drawing.fragments(window)
         if fragments is not None:
-            found.extend(
-                crossings_of_fragments(fragments, part, lattice, view.stride_px, window.y, window.height)
-            )
+            found.extend(crossings_of_fragments(fragments, part, lattice, view.stride_px, window.y, window.height))
             continue
         halves = window.halves()
         if halves is None:

@@ -67,9 +67,7 @@ class Bands(NamedTuple):
         return self.ends[np.searchsorted(-self.bottoms, -heights, side="left")]
 
 
-def drawn_facets(
-    part: Part, lattice: ShortInts, heights: NDArray[np.float32], view: FieldOfView
-) -> DrawnFacets:
+def drawn_facets(part: Part, lattice: ShortInts, heights: NDArray[np.float32], view: FieldOfView) -> DrawnFacets:
     """Choose and order the facets of a part whose vertices lie at `lattice` (N, 2) and `heights` (N,)."""
     slack = math.ceil(CLIPPED_SLACK + ROUNDED_SHARE * view.viewport_px * SUBPIXELS)
     reach = np.empty(len(part.faces), np.uint8)

@@ -79,9 +79,7 @@ def field_of_view(part: Part, pixel_mm: float | None) -> FieldOfView:
     """Lay a field of view over a part; it depends only on the part and the pixel."""
     side = pixel_mm or automatic_pixel_mm(part)
     low, size = part.bounds[0], part.size
-    width, height = (
-        math.ceil(float(size[axis]) / side + GRID_SHIFT_PX[axis]) + 2 * MARGIN_PX for axis in range(2)
-    )
+    width, height = (math.ceil(float(size[axis]) / side + GRID_SHIFT_PX[axis]) + 2 * MARGIN_PX for axis in range(2))
     return FieldOfView(side, (float(low[0]), float(low[1])), width, height)
 
 

@@ -44,9 +44,7 @@ class Rings(NamedTuple):
 
 
 @kernel
-def contours_of_layers(
-    flips: Flips, bitmaps: NDArray[np.uint64], start: int, stop: int, row_words: int
-) -> Rings:
+def contours_of_layers(flips: Flips, bitmaps: NDArray[np.uint64], start: int, stop: int, row_words: int) -> Rings:
     """Contours of layers ``start .. stop - 1`` by their `bitmaps` (L, words).
 
     Where L is 0, a bitmap of so many words, of which no pixel is solid, changes by the flips of one layer after another.
@@ -71,9 +69,7 @@ def contours_of_layers(
             flip(bitmap, changed)
             _follow_changes(marks, busy, changed)
         before = rings
-        points, ends, rings = _add_rings(
-            bitmap, marks, busy, left, row_words, points, ends, rings, stop - layer
-        )
+        points, ends, rings = _add_rings(bitmap, marks, busy, left, row_words, points, ends, rings, stop - layer)
         counts[layer - start] = rings - before
     return Rings(points[: ends[rings - 1]], ends[:rings], _least_points(points, ends[:rings]), counts)
 
@@ -115,9 +111,7 @@ def _least_points(points: ShortInts, starts: Ints) -> Ints:
     for r in range(least.size):
         best = starts[r]
         for i in range(best + 1, starts[r + 1]):
-            if points[i, 0] <= points[best, 0] and (
-                points[i, 0] < points[best, 0] or points[i, 1] < points[best, 1]
-            ):
+            if points[i, 0] <= points[best, 0] and (points[i, 0] < points[best, 0] or points[i, 1] < points[best, 1]):
                 best = i
         least[r] = best
     return least
@@ -248,9 +242,7 @@ def layers_of(heights: Floats, found: Sequence[Rings], view: FieldOfView, labels
     def place(start: int, stop: int) -> None:
         for k in range(start, stop):
             block, first = found[k], first_rings[k]
-            _place(
-                block.points, block.starts, block.least, orders[k], ring_starts[first:], *view.affine, points
-            )
+            _place(block.points, block.starts, block.least, orders[k], ring_starts[first:], *view.affine, points)
 
     run_blocks(place, len(found))
     layer_starts = np.concatenate([[0], np.cumsum(np.concatenate([block.counts for block in found]))])

@@ -53,9 +53,7 @@ def open_context() -> moderngl.Context:
                 os.environ.setdefault("PYOPENGL_PLATFORM", "egl")
             return context
         context.release()
-        reasons.append(
-            f"{way or 'the default way'}: its rasteriser keeps {bits} of {NEEDED_SUBPIXEL_BITS} bits"
-        )
+        reasons.append(f"{way or 'the default way'}: its rasteriser keeps {bits} of {NEEDED_SUBPIXEL_BITS} bits")
     raise BackendMissing(f"no OpenGL {NEEDED_VERSION / 100:.1f} context: {'; '.join(reasons)}")
 
 

@@ -91,9 +91,7 @@ class StencilTarget:
         for end in (gl.GL_TEXTURE_MIN_FILTER, gl.GL_TEXTURE_MAG_FILTER):
             gl.glTexParameteri(gl.GL_TEXTURE_2D, end, gl.GL_NEAREST)
         gl.glBindFramebuffer(gl.GL_FRAMEBUFFER, self._framebuffer)
-        gl.glFramebufferTexture2D(
-            gl.GL_FRAMEBUFFER, gl.GL_DEPTH_STENCIL_ATTACHMENT, gl.GL_TEXTURE_2D, self._counts, 0
-        )
+        gl.glFramebufferTexture2D(gl.GL_FRAMEBUFFER, gl.GL_DEPTH_STENCIL_ATTACHMENT, gl.GL_TEXTURE_2D, self._counts, 0)
         gl.glDrawBuffer(gl.GL_NONE)
         gl.glReadBuffer(gl.GL_NONE)
         status = gl.glCheckFramebufferStatus(gl.GL_FRAMEBUFFER)
@@ -127,9 +125,7 @@ class StencilTarget:
         gl.glClearBufferData(gl.GL_COPY_WRITE_BUFFER, *words, None)
         self._context.memory_barrier()
 
-    def draw(
-        self, window: Window, facets: moderngl.VertexArray, runs: Sequence[tuple[int, int]], layer: int
-    ) -> None:
+    def draw(self, window: Window, facets: moderngl.VertexArray, runs: Sequence[tuple[int, int]], layer: int) -> None:
         """Draw runs of facets (first, number) over a window and pack its solid pixels into the bitmap of a layer of the block."""
         gl = self._gl
         side = self._view.viewport_px

@@ -25,8 +25,7 @@ PART = "prism"
 """Part of the quick faults: it has long ways, and is verified soon; where a fault needs bores or arcs, another part serves."""
 
 QUICK = dict(
-    line.split(" | ")
-    for line in Path(__file__).with_name("quick.txt").read_text(encoding="utf-8").splitlines()
+    line.split(" | ") for line in Path(__file__).with_name("quick.txt").read_text(encoding="utf-8").splitlines()
 )
 """Some faults of every group by name, each for one control, and the checks that must find it by run or text."""
 
@@ -58,9 +57,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
-def planted(
-    workshop: Workshop, known: Results, options: argparse.Namespace, controls: Sequence[str]
-) -> list[Result]:
+def planted(workshop: Workshop, known: Results, options: argparse.Namespace, controls: Sequence[str]) -> list[Result]:
     """Results of all faults in order; those that are known are not judged again."""
     planter = Planter(workshop, options.seed)
     begin = time.monotonic()
@@ -81,9 +78,7 @@ def quick_results(workshop: Workshop, seed: int, names: Collection[str] = QUICK)
             yield planter.judged(fault, workshop.folder)
 
 
-def write(
-    results: Sequence[Result], honest: Sequence[tuple[str, str]] | None, seed: int, folder: Path
-) -> None:
+def write(results: Sequence[Result], honest: Sequence[tuple[str, str]] | None, seed: int, folder: Path) -> None:
     """Write table and rows."""
     folder.mkdir(parents=True, exist_ok=True)
     planned = sum(1 for _ in faults())

@@ -106,9 +106,7 @@ def _spelled(ground: Ground) -> list[Place]:
 def _repeated(ground: Ground, contour: bool) -> list[Place]:
     bead = ground.bead(contour)
     lines = ground.text.files[bead.file][bead.on : bead.off + 1]
-    return ground.insert(
-        bead.file, bead.off + 1, *ground.text.layers()[bead.layer].way_to(bead.start), *lines
-    )
+    return ground.insert(bead.file, bead.off + 1, *ground.text.layers()[bead.layer].way_to(bead.start), *lines)
 
 
 # -- beads too few, too short or too long --------------------------------------------------------------
@@ -125,9 +123,7 @@ def _omitted(ground: Ground, **which: Any) -> list[Place]:
 def _line_omitted(ground: Ground) -> list[Place]:
     """A line of an island and its turn, so that its neighbours are joined."""
     text = ground.text
-    inner = [
-        (b, b.motions[k - 1 : k + 2]) for b in text.beads(contour=False) for k in range(2, len(b.motions) - 2)
-    ]
+    inner = [(b, b.motions[k - 1 : k + 2]) for b in text.beads(contour=False) for k in range(2, len(b.motions) - 2)]
     bead, (before, line, its_turn) = ground.pick([
         (b, rows) for b, rows in inner if text.is_turn(b.file, rows[2]) and not text.is_turn(b.file, rows[1])
         and np.ptp(text.ends(b.file, rows[:2]), axis=0).max() > 6.0
@@ -225,9 +221,7 @@ def _seam_moved(ground: Ground) -> list[Place]:
     straight = [b for b in text.beads(True) if all(text.code(b.file, i).startswith("G1 ") for i in b.motions)]
     bead = ground.pick([b for b in straight if b.last - b.first == len(b.motions) - 1])
     points = text.ends(bead.file, bead.motions)
-    for i, place in zip(
-        (text.ways(bead)[0], *bead.motions), (points[0], *points[1:], points[0]), strict=True
-    ):
+    for i, place in zip((text.ways(bead)[0], *bead.motions), (points[0], *points[1:], points[0]), strict=True):
         text.set_words(bead.file, i, "XY", place)
     return ground.line(bead.file, bead.travel, bead.off)
 

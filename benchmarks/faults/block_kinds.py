@@ -264,11 +264,7 @@ def _hidden(ground: Ground) -> list[Place]:
     if ground.variant == "Y":
         lines = [(b, i) for b in text.beads() for i in b.motions if text.code(b.file, i).startswith("G1 ")]
         bead, i = ground.pick(
-            [
-                (b, i)
-                for b, i in lines
-                if abs(text.position(b.file, i)[1] - text.position(b.file, i + 1)[1]) > 3.0
-            ]
+            [(b, i) for b, i in lines if abs(text.position(b.file, i)[1] - text.position(b.file, i + 1)[1]) > 3.0]
         )
         text.files[bead.file][i] = re.sub(r" Y", " ; Y", text.files[bead.file][i], count=1)
     elif ground.variant == "feed":

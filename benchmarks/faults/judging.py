@@ -73,8 +73,7 @@ def is_right(said: Said, places: Sequence[Place]) -> bool:
     """Whether a place is one of those expected, within :data:`NEAR_LINES`; a record is one place."""
     at = said.place or (said.where.partition(":")[0], 1)
     return any(
-        p.file == at[0] and (p.last == 1 or p.first - NEAR_LINES <= at[1] <= p.last + NEAR_LINES)
-        for p in places
+        p.file == at[0] and (p.last == 1 or p.first - NEAR_LINES <= at[1] <= p.last + NEAR_LINES) for p in places
     )
 
 
@@ -148,9 +147,7 @@ def reseal(run: Path, main: str, other_part: Path | None = None) -> None:
         record["part"]["sha256"] = sha256_of_file(other_part)
     names = [main, *sorted(p.name for p in (run / "program").iterdir() if p.name != main)]
     others = [name for name in record["files"] if not name.startswith("program/") and (run / name).is_file()]
-    record["files"] = {
-        name: sha256_of_file(run / name) for name in (*others, *(f"program/{n}" for n in names))
-    }
+    record["files"] = {name: sha256_of_file(run / name) for name in (*others, *(f"program/{n}" for n in names))}
     blocks = {file["name"]: file["blocks"] for file in record["program"]["files"]}
     record["program"]["files"] = [
         {"name": n, "sha256": sha256_of_file(run / "program" / n), "blocks": blocks.get(n, 1)} for n in names

@@ -78,9 +78,7 @@ class Ground:
                 return drawn
         raise NotHereError
 
-    def bead(
-        self, contour: bool | None = None, least_layer: int = 0, motions: int = 1, most: int = 10**9
-    ) -> Bead:
+    def bead(self, contour: bool | None = None, least_layer: int = 0, motions: int = 1, most: int = 10**9) -> Bead:
         """A bead of `motions` to `most` motions, in one of the upper layers if so asked."""
         beads = self.text.beads(contour)
         return self.pick([b for b in beads if b.layer >= least_layer and motions <= len(b.motions) <= most])
@@ -178,6 +176,4 @@ def kind(
     """Put a kind on the list; `variants` for every control, or by control; `where` goes to `spoil`."""
     by_control = variants if isinstance(variants, Mapping) else dict.fromkeys(controls, variants)
     every = tuple((control, variant) for control, some in by_control.items() for variant in some)
-    KINDS[name] = Kind(
-        name, changes, spoil, every, what, unseen, unseen_variants, in_comments, subjects, where
-    )
+    KINDS[name] = Kind(name, changes, spoil, every, what, unseen, unseen_variants, in_comments, subjects, where)

@@ -79,9 +79,7 @@ def _low_retracts(ground: Ground) -> list[Place]:
 def _diagonal(ground: Ground) -> list[Place]:
     layer, _, way, down = _hop(ground)
     text = ground.text
-    text.set(
-        layer.file, way, f"{text.code(layer.file, way)} Z{text.code(layer.file, down).partition('Z')[2]}"
-    )
+    text.set(layer.file, way, f"{text.code(layer.file, way)} Z{text.code(layer.file, down).partition('Z')[2]}")
     text.delete(layer.file, down)
     return ground.line(layer.file, way)
 
@@ -212,9 +210,7 @@ def long_line(ground: Ground, least_mm: float = 3.0) -> tuple[Bead, int]:
 
     lines = [(b, i) for b in text.beads(contour=False) for i in b.motions[1:]]
     straight = rf"G1 X{NUMBER} Y{NUMBER}"
-    return ground.pick(
-        [x for x in lines if re.fullmatch(straight, text.code(x[0].file, x[1])) and is_long(*x)]
-    )
+    return ground.pick([x for x in lines if re.fullmatch(straight, text.code(x[0].file, x[1])) and is_long(*x)])
 
 
 # -- slips of the hand ---------------------------------------------------------------------------------

@@ -203,9 +203,7 @@ class Results:
 
     def of(self, name: str, judge: Callable[[], Result]) -> Result | None:
         """What became of a fault, judged now if it was not; None where it has no place."""
-        path = (
-            self._folder / f"{re.sub(r'[^A-Za-z0-9]+', '-', name)[:80]}-{zlib.crc32(name.encode()):08x}.json"
-        )
+        path = self._folder / f"{re.sub(r'[^A-Za-z0-9]+', '-', name)[:80]}-{zlib.crc32(name.encode()):08x}.json"
         if not path.is_file():
             try:
                 known = asdict(judge())

@@ -32,9 +32,7 @@ def _numbers(ground: Ground, pattern: str) -> dict[Line, float]:
     return {line: float(m[1]) for line, m in found.items() if m}
 
 
-def _scaled(
-    ground: Ground, quantity: str, factor: float | None = None, lines: list[Line] | None = None
-) -> list[Place]:
+def _scaled(ground: Ground, quantity: str, factor: float | None = None, lines: list[Line] | None = None) -> list[Place]:
     """Multiply the values of a quantity by the variant or a factor: all of them, or those of some lines."""
     text, places = ground.text, []
     pattern = getattr(text.codes, quantity)
@@ -50,9 +48,7 @@ def _scaled(
     return places
 
 
-def _feeds(
-    ground: Ground, factor: float, pattern: str = "(?!G4).*", lines: list[Line] | None = None
-) -> list[Place]:
+def _feeds(ground: Ground, factor: float, pattern: str = "(?!G4).*", lines: list[Line] | None = None) -> list[Place]:
     """Multiply the feeds of all motions or of those of some lines."""
     text, places = ground.text, []
     for file, i in text.everywhere(rf"{pattern} F{NUMBER}"):
@@ -118,9 +114,7 @@ def _drawn_back_twice(ground: Ground) -> list[Place]:
     text = ground.text
     bead, after = ground.pick([(a, b) for a, b in pairwise(text.beads()) if a.file == b.file])
     i = text.find(RETRACT[text.control], bead.file, bead.last, bead.off + 1)[0]
-    return ground.insert(
-        bead.file, i + 1 if ground.variant == "at once" else after.on, text.code(bead.file, i)
-    )
+    return ground.insert(bead.file, i + 1 if ground.variant == "at once" else after.on, text.code(bead.file, i))
 
 
 def _wire_step_deleted(ground: Ground) -> list[Place]:
@@ -160,9 +154,7 @@ def _power_step_deleted(ground: Ground) -> list[Place]:
         values, values[1:], [*values[2:], ("", 0, 0.0)], strict=False
     ):
         alone = not re.fullmatch(text.codes.beam_on, text.code(file, i))
-        counts = text.find(
-            text.codes.beam_on, file, i + 1, following + 1 if g == file else len(text.files[file])
-        )
+        counts = text.find(text.codes.beam_on, file, i + 1, following + 1 if g == file else len(text.files[file]))
         if alone and counts and f == file and before > 0.0 and abs(value / before - 1.0) > 0.05:
             found.append((file, i))
     file, i = ground.pick(found)
@@ -238,11 +230,7 @@ def _switch_moved(ground: Ground) -> list[Place]:
         text.delete(bead.file, i)
         text.insert(bead.file, at, line)
     else:
-        ways = [
-            k
-            for k in range(bead.off + 1, len(text.files[bead.file]))
-            if text.code(bead.file, k).startswith("G0")
-        ]
+        ways = [k for k in range(bead.off + 1, len(text.files[bead.file])) if text.code(bead.file, k).startswith("G0")]
         if not ways and name.endswith("off"):
             raise NotHereError
         at = (ways[0] if name.endswith("off") else bead.first) + 1
@@ -274,9 +262,7 @@ def _switch_order(ground: Ground) -> list[Place]:
 
 def _switched_twice(ground: Ground) -> list[Place]:
     bead = ground.bead()
-    return ground.insert(
-        bead.file, bead.first, ground.text.files[bead.file][_switch(ground, bead, ground.variant)]
-    )
+    return ground.insert(bead.file, bead.first, ground.text.files[bead.file][_switch(ground, bead, ground.variant)])
 
 
 def _on_at_the_end(ground: Ground) -> list[Place]:
@@ -294,9 +280,7 @@ def _wait(ground: Ground) -> list[Place]:
     text = ground.text
     seconds = {"negative": -10.0, "a day": 86400.0, "deleted": None, "a tenth": 1.5}[ground.variant]
     waits = _numbers(ground, text.codes.pause)
-    file, i = ground.pick(
-        [line for line, s in waits.items() if s >= 10.0 and text.find(text.codes.beam_on, *line)]
-    )
+    file, i = ground.pick([line for line, s in waits.items() if s >= 10.0 and text.find(text.codes.beam_on, *line)])
     ground.facts["seconds"] = waits[file, i]
     if seconds is None:
         text.delete(file, i)

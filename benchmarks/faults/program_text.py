@@ -141,9 +141,7 @@ class ProgramText:
         """Block of a line, without number and comment."""
         return code_of(self.files[file][i])
 
-    def find(
-        self, pattern: str, file: str | None = None, first: int = 0, end: int | None = None
-    ) -> list[int]:
+    def find(self, pattern: str, file: str | None = None, first: int = 0, end: int | None = None) -> list[int]:
         """Lines of a file (the main one) whose block matches a pattern as a whole."""
         lines = self.files[file or self.main]
         wanted = re.compile(pattern)
@@ -161,9 +159,7 @@ class ProgramText:
         else:
             lines = self.files[self.main]
             begins = [i for i, line in enumerate(lines) if _LAYER.match(line)]
-            spans = [
-                (self.main, a, b) for a, b in zip(begins, [*begins[1:], self._end_of_layers()], strict=True)
-            ]
+            spans = [(self.main, a, b) for a, b in zip(begins, [*begins[1:], self._end_of_layers()], strict=True)]
         return [self._layer(k, *span) for k, span in enumerate(spans)]
 
     def _end_of_layers(self) -> int:
@@ -308,9 +304,7 @@ def end_of(code: str, here: Point) -> Point:
 def with_word(code: str, address: str, value: float) -> str:
     """Return a block with another number behind an address."""
     decimals = 0 if address in "FS" and value == int(value) else 6
-    return re.sub(
-        rf"(?<![A-Z\[=])({re.escape(address)}){NUMBER}", rf"\g<1>{value:.{decimals}f}", code, count=1
-    )
+    return re.sub(rf"(?<![A-Z\[=])({re.escape(address)}){NUMBER}", rf"\g<1>{value:.{decimals}f}", code, count=1)
 
 
 def moved(code: str, matrix: ArrayLike, offset: ArrayLike = (0.0, 0.0)) -> str:

@@ -61,10 +61,7 @@ LAYER_COMMENT = {
 
 def _layer_comment(ground: Ground) -> list[Place]:
     every = [
-        (f, i)
-        for f, lines in ground.text.files.items()
-        for i, line in enumerate(lines)
-        if line.startswith("; LAYER: ")
+        (f, i) for f, lines in ground.text.files.items() for i, line in enumerate(lines) if line.startswith("; LAYER: ")
     ]
     file, i = ground.pick(every[1:])
     ground.text.files[file][i] = re.sub(*LAYER_COMMENT[ground.variant], ground.text.files[file][i])
@@ -73,9 +70,7 @@ def _layer_comment(ground: Ground) -> list[Place]:
 
 def _path(ground: Ground) -> list[Place]:
     file = ground.pick(list(ground.text.files))
-    ground.text.files[file][1] = (
-        ";$PATH=/_N_WKS_DIR/_N_OTHER_WPD" if ground.variant == "another" else "; PATH"
-    )
+    ground.text.files[file][1] = ";$PATH=/_N_WKS_DIR/_N_OTHER_WPD" if ground.variant == "another" else "; PATH"
     return ground.line(file, 1)
 
 
@@ -167,9 +162,7 @@ def _other_witness(ground: Ground) -> list[Place]:
 
 def _relabelled(ground: Ground) -> list[Place]:
     """Another part in the record of the run, which is verified against that part's file."""
-    ground.forge = _changed(
-        "run.json", lambda record: record["part"].update(name="other", source="other.stl")
-    )
+    ground.forge = _changed("run.json", lambda record: record["part"].update(name="other", source="other.stl"))
     ground.other_part = "cube" if ground.subject.name != "cube" else "prism"
     ground.facts["part"] = ground.other_part
     return [*PAPERS, Place(f"{ground.other_part}.stl", 1, 1)]

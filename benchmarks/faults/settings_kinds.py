@@ -71,9 +71,7 @@ OF_SWITCHES: dict[str, dict[str, tuple[str, tuple[str, ...]]]] = {
 
 def _template(ground: Ground, template: str = "") -> list[Place]:
     """Blocks in a template: those of the variant's name, or the variant itself."""
-    template, blocks = (
-        (template, (ground.variant,)) if template else OF_SWITCHES[ground.text.control][ground.variant]
-    )
+    template, blocks = (template, (ground.variant,)) if template else OF_SWITCHES[ground.text.control][ground.variant]
     ground.settings = {"machine": {template: blocks}}
     return [Place(name, 1, 1) for name in (template, *(code.partition(" ;")[0] for code in blocks))]
 
@@ -83,17 +81,13 @@ def _rounding_fit(ground: Ground) -> list[Place]:
     return [Place("fit", 1, 1), Place("MAIN", 1, 1)]
 
 
-def judged_settings(
-    ground: Ground, sound: Finished, folder: Path, places: list[Place]
-) -> tuple[Verdict, Verdict]:
+def judged_settings(ground: Ground, sound: Finished, folder: Path, places: list[Place]) -> tuple[Verdict, Verdict]:
     """Verify the run and the text that the spoiled settings make, as far as they are not refused; a message names what is wrong."""
     spoiled = folder / "spoiled"
     shutil.rmtree(spoiled, ignore_errors=True)
 
     def verdict(checks: Callable[[Finished, Path, Config], list[Check]]) -> Verdict:
-        said = failures(
-            lambda: checks(sound, spoiled, sound.subject.config(sound.control, **ground.settings))
-        )
+        said = failures(lambda: checks(sound, spoiled, sound.subject.config(sound.control, **ground.settings)))
         right = [s.check for s in said if any(place.file in f"{s.where} {s.text}" for place in places)]
         return Verdict(tuple(said), tuple(dict.fromkeys(right)))
 

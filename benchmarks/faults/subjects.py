@@ -123,9 +123,7 @@ TWELVE = Subject(
 )
 """Its edges are kept; with the default angle of a crease they are not."""
 
-ROUND = Subject(
-    "round", prism("round", "the circle about the twelve sides", circle(0, 0, RADIUS_MM), TALL_MM)
-)
+ROUND = Subject("round", prism("round", "the circle about the twelve sides", circle(0, 0, RADIUS_MM), TALL_MM))
 
 RETRACTING = replace(SUBJECTS["cube"], name="cube-retracting", settings={"process": {"wire_retract_mm": 5.0}})
 """The cube, whose wire is drawn back after every bead."""

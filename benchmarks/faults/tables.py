@@ -37,9 +37,7 @@ def _plain(value: object) -> object:
     return int(value) if isinstance(value, bool) else value
 
 
-def as_markdown(
-    results: Sequence[Result], honest: Sequence[tuple[str, str]] | None, seed: int, planned: int
-) -> str:
+def as_markdown(results: Sequence[Result], honest: Sequence[tuple[str, str]] | None, seed: int, planned: int) -> str:
     """Totals by what is changed, figures by kind and control, what is missed, and what cannot be seen."""
     kinds = list(dict.fromkeys(r.kind for r in results))
     cut = f" ({len(results)} of {planned} were judged)" if len(results) < planned else ""
@@ -99,11 +97,7 @@ def _figures(some: Sequence[Result]) -> str:
 
 
 def _by_kind(results: Sequence[Result], kinds: Sequence[str]) -> list[str]:
-    head = (
-        "| kind | changes | "
-        + " | ".join(f"{c}: run, text" for c in CONTROLS)
-        + " | right line: run, text | by |"
-    )
+    head = "| kind | changes | " + " | ".join(f"{c}: run, text" for c in CONTROLS) + " | right line: run, text | by |"
     lines = [head, "|---|---|" + "---|" * (len(CONTROLS) + 2)]
     for kind in kinds:
         some = [r for r in results if r.kind == kind]

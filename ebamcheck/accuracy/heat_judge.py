@@ -150,9 +150,7 @@ class LayerCase:
             x0, y0, x1, y1 = section.bounds
             # Images are of insulated planes alone, so that a cooled base is left out.
             base_mm = float(path.rows[0, 3]) - height_mm - config.process.base_plate_mm
-            mirrors = thesis.Mirrors(
-                (x0, x1), (y0, y1), base_mm if config.process.base == "insulated" else None
-            )
+            mirrors = thesis.Mirrors((x0, x1), (y0, y1), base_mm if config.process.base == "insulated" else None)
         if beads == BEADS[0]:
             path.rows[path.island < 0, 4] = 0.0
         where = _places(islands, visits.place, places)
@@ -165,9 +163,7 @@ class LayerCase:
         return thesis.write_thesis(self.path, files, folder)
 
 
-def judge_layer(
-    case: LayerCase, config: Config, progress: Callable[[int], None] = lambda done: None
-) -> JudgedLayer:
+def judge_layer(case: LayerCase, config: Config, progress: Callable[[int], None] = lambda done: None) -> JudgedLayer:
     """Judge one layer: its islands when the beam enters them, by 3DThesis and by our own model; `progress` is told how many are
     done."""
     owner, visits, islands = case.owner, case.visits, case.islands

@@ -28,9 +28,15 @@ from ebamcheck.settings.checking import checked, read_toml
 from ebamcheck.slicers.isolation import Outcome
 
 SECTION_TOLERANCE_MM = 1e-4  # chord error of the dense rings that stand for an exact section
-MOST_PLANES = 12  # planes through level faces that are cut on top of the uniform layers: enough to meet every kind of face
-STEP_SHARE = 1e-3  # share of the area that may change over the rounding of a height; more is a step that rounding has moved
-DEPTH_SHARE = 0.02  # depth is found to a hundredth of this share of the bound: a loss of a hundredth of the bound must show
+MOST_PLANES = (
+    12  # planes through level faces that are cut on top of the uniform layers: enough to meet every kind of face
+)
+STEP_SHARE = (
+    1e-3  # share of the area that may change over the rounding of a height; more is a step that rounding has moved
+)
+DEPTH_SHARE = (
+    0.02  # depth is found to a hundredth of this share of the bound: a loss of a hundredth of the bound must show
+)
 MEASURED, REFUSED = "measured", "refused"
 
 

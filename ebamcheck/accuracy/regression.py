@@ -102,9 +102,7 @@ def run_regression(
         registry.slicer_settings(name, values)
         if name in usable:
             told = ", ".join(f"{key} = {value}" for key, value in values.items())
-            note(
-                f"backend {name} runs with {told}, and is held against the baselines of its settings in the matrix"
-            )
+            note(f"backend {name} runs with {told}, and is held against the baselines of its settings in the matrix")
     entries: dict[Key, Entry] = {}
     timings: dict[str, Mapping[str, float]] = {}
     for name, model in chosen.items():
@@ -121,9 +119,7 @@ def run_regression(
     before = read_baselines(folder, judged)
     held = {key: entry for key, entry in before.items() if not backends or key.backend in backends}
     found = differences(entries, held, not_run, tolerances)
-    return Regression(
-        folder, dict(sorted(entries.items(), key=lambda item: item[0])), held, found, tolerances, timings
-    )
+    return Regression(folder, dict(sorted(entries.items(), key=lambda item: item[0])), held, found, tolerances, timings)
 
 
 def _usable(names: Sequence[str]) -> tuple[list[str], dict[str, str]]:
@@ -131,9 +127,7 @@ def _usable(names: Sequence[str]) -> tuple[list[str], dict[str, str]]:
         return [registry.available_slicer(name).name for name in dict.fromkeys(names)], {}
     probes = {name: registry.probe(name) for name in registry.house_slicers()}
     usable = [name for name, probe in probes.items() if probe.available]
-    not_run = {
-        name: "; ".join(filter(None, (p.why, p.hint))) for name, p in probes.items() if not p.available
-    }
+    not_run = {name: "; ".join(filter(None, (p.why, p.hint))) for name, p in probes.items() if not p.available}
     if not usable:
         raise BackendMissing("no backend is available: see `ebamcheck backends` for the reasons")
     return usable, not_run
@@ -228,9 +222,7 @@ def write_page(regression: Regression, history: Path, folder: Path) -> None:
     """Write ``regress.html``, whole or not at all."""
     title = "Accuracy against the baselines"
     failing = sum(d.fails for d in regression.differences)
-    verdict = join(
-        [element("span", "no entry got worse", class_="good"), f", {regression.compared} were compared"]
-    )
+    verdict = join([element("span", "no entry got worse", class_="good"), f", {regression.compared} were compared"])
     if failing:
         verdict = element("span", f"{failing} of {len(regression.differences)} entries failed", class_="bad")
     what = ". Every entry is one slicer under one choice of settings on one model whose sections are known exactly."
@@ -368,9 +360,7 @@ def record(path: Path, regression: Regression) -> int:
             "INSERT INTO results (sha256, ebamcheck, first_seen, last_seen, times_seen) VALUES (?, ?, ?, ?, 1)",
             (sha256, __version__, now, now),
         ).lastrowid
-        database.executemany(
-            "INSERT INTO figures VALUES (?, ?, ?, ?, ?, ?)", [(result, *row) for row in figures]
-        )
+        database.executemany("INSERT INTO figures VALUES (?, ?, ?, ?, ?, ?)", [(result, *row) for row in figures])
         return int(result or 0)
 
 

@@ -163,7 +163,9 @@ def _fault(workpiece: Workpiece, outcome: Outcome, comparison: Comparison) -> st
     return f"{where}: {f.metric} {f.value:.4g} over {f.limit:.4g}"
 
 
-TIE_SHARE = 0.1  # times that differ by less than this share of the shorter are a tie: runs differ by as much from each other
+TIE_SHARE = (
+    0.1  # times that differ by less than this share of the shorter are a tie: runs differ by as much from each other
+)
 RULES = (
     "A slicer must be available and slice the part without a fault; its bound and its measured error must meet the "
     "tolerance; of those left the fastest is primary. Times within 10 % are a tie, which goes by priority, then by "
@@ -204,9 +206,7 @@ def choose(trials: Sequence[Trial], tolerance_mm: float) -> Choice:
     for trial in rest:
         slower = f"{trial.seconds:.3g} s against {best.seconds:.3g} s of {best.name}"
         is_next = trial is rest[0]
-        reasons[trial.name] = (
-            f"witness: the next after {best.name} ({slower})" if is_next else f"not needed: {slower}"
-        )
+        reasons[trial.name] = f"witness: the next after {best.name} ({slower})" if is_next else f"not needed: {slower}"
     return Choice(best.name, rest[0].name if rest else "", reasons)
 
 

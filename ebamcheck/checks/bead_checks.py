@@ -226,9 +226,7 @@ def _passes(one: shapely.LineString, other: shapely.LineString, pool_mm: float) 
     met = shapely.points(shapely.get_coordinates(shapely.intersection(one, other)))
     cuts = np.sort(shapely.line_locate_point(one, met))
     away = [
-        float(
-            shapely.distance(shapely.points(shapely.get_coordinates(piece.segmentize(CHORD_MM))), other).max()
-        )
+        float(shapely.distance(shapely.points(shapely.get_coordinates(piece.segmentize(CHORD_MM))), other).max())
         for low, high in pairwise([0.0, *cuts.tolist(), one.length])
         if high > low
         for piece in [substring(one, low, high)]

@@ -159,7 +159,9 @@ def ramp_check(nc: NCProgram, config: Config) -> Check:
             said = f"{what} {{:.3g}} s, allowed are {low:g} .. {high:g} s"
             faults += [(at, said.format(t)) for at, t in each]
     faults.sort(key=lambda fault: fault[0])
-    good = f"the beam rises in {rise.min():.3g} .. {rise.max():.3g} s and falls in {fall.min():.3g} .. {fall.max():.3g} s"
+    good = (
+        f"the beam rises in {rise.min():.3g} .. {rise.max():.3g} s and falls in {fall.min():.3g} .. {fall.max():.3g} s"
+    )
     return count_check("ramps in time", [(nc.where(row), what) for row, what in faults], good)
 
 

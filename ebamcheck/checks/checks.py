@@ -31,15 +31,15 @@ SAME_AREA = 1e-3  # Share of the greatest section by which mesh and slicer diffe
 WIRE_PLACE_MM = 0.2  # By so much curve forms, and rounded ends of blocks, place a change of wire elsewhere
 
 # What to do about a check that fails: texts that several checks, and findings, have in common.
-AGAIN = (
-    "make the program again (ebamcheck run); a text that was edited by hand is checked with ebamcheck verify"
-)
+AGAIN = "make the program again (ebamcheck run); a text that was edited by hand is checked with ebamcheck verify"
 PROFILE = "set the machine's own codes in the templates (ebamcheck config, section machine)"
 NARROWER = (
     "use a narrower bead (process.bead_width_mm, with layers.layer_height_mm as it is and a process.current_ma that goes with "
     "the square of the width)"
 )
-COARSE = f"allow for machining (process.machining_allowance_mm), {NARROWER}, or build in another direction (part.direction)"
+COARSE = (
+    f"allow for machining (process.machining_allowance_mm), {NARROWER}, or build in another direction (part.direction)"
+)
 # Of a wall that no bead of the process is narrow enough for.
 TOO_THIN = (
     "allow for machining (process.machining_allowance_mm), make the wall thicker in the model, or build in another direction "
@@ -57,10 +57,10 @@ LEVELS = (
     "that is too much, allow for machining (process.machining_allowance_mm)"
 )
 COOL = 'wait and lower the power (process.interpass = "both"), or raise process.interpass_limit_k'
-MISTAKE = "no setting mends it: this program has a mistake in reading, slicing, layers or heat model; report it with the part"
-OFF_MESH = (
-    f"mend the mesh, or the slicer, where the gate input or agreement is shut; where both are open, {MISTAKE}"
+MISTAKE = (
+    "no setting mends it: this program has a mistake in reading, slicing, layers or heat model; report it with the part"
 )
+OFF_MESH = f"mend the mesh, or the slicer, where the gate input or agreement is shut; where both are open, {MISTAKE}"
 WINDOW = "bring wire, feed, power and layer height into the process window (section process)"
 LEVEL = f"give layers of one height (layers.layer_height_mm), then {AGAIN}"
 # Of a check that a plugin brought.
@@ -101,9 +101,7 @@ def limit_check(
     return Check(name, passed, value, limit, unit, where, text, layer, x_mm, y_mm, remedy=remedy)
 
 
-def worst_check(
-    name: str, nc: NCProgram, rows: Ints, values: ArrayLike, limit: float, unit: str, what: str
-) -> Check:
+def worst_check(name: str, nc: NCProgram, rows: Ints, values: ArrayLike, limit: float, unit: str, what: str) -> Check:
     """Check that no value is over the limit; one that is no number is over any."""
     values = np.asarray(values, dtype=np.float64)
     if not values.size:

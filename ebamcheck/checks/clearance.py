@@ -29,9 +29,7 @@ MOST_CELLS = 16_000_000  # Cells of a grid at most, 256 MiB in all; a larger pla
 NO_HEIGHT = KeepOut.model_fields["z_mm"].default  # Heights of a keep-out zone for which nobody gave any
 
 
-def clearance_checks(
-    nc: NCProgram, z_of: Floats, config: Config, layers: Layers | None = None
-) -> list[Check]:
+def clearance_checks(nc: NCProgram, z_of: Floats, config: Config, layers: Layers | None = None) -> list[Check]:
     """Run a program over what stands, and check what it meets; where `layers` have metal under a bead, metal has to stand."""
     beads = nc.beads
     # Z (B,) of the layer below each motion; what stands for the first one, and 0 outside of layers.
@@ -66,9 +64,7 @@ def _clearance(nc: NCProgram, found: Standing, config: Config) -> Check:
         return limit_check("clearance", 0.0, 0.0, "mm", text)
     row = int(rows[0])
     what = f"travel lacks {found.short_mm[row]:.4g} mm of the clearance of {limit:g} mm"
-    unknown = (
-        "travel from a place or height that no block has given, lower than what stands and the clearance"
-    )
+    unknown = "travel from a place or height that no block has given, lower than what stands and the clearance"
     what = unknown if lost[row] else what
     worst = np.where(lost, np.inf, found.short_mm).max()
     return limit_check("clearance", worst, 0.0, "mm", f"{what}{_more(rows)}", nc.where(row))
@@ -125,9 +121,7 @@ def _over_metal(nc: NCProgram, rows: Ints, found: Standing, layers: Layers) -> F
     return share
 
 
-def beads_in_the_air(
-    nc: NCProgram, beads: Beads, bare_mm: Floats, below_mm: Floats, width_mm: float
-) -> Bools:
+def beads_in_the_air(nc: NCProgram, beads: Beads, bare_mm: Floats, below_mm: Floats, width_mm: float) -> Bools:
     """Find beads (P,) of islands that touch no metal of the layer below, nor anything else that stands."""
     long = beads.total(np.nan_to_num(nc.lengths[beads.rows]))
     bare = beads.total(bare_mm[beads.rows])
@@ -313,9 +307,7 @@ def _highest(top: Floats, fixed: Floats, x: float, y: float, radius: float, enou
 
 
 @kernel
-def _touch(
-    ground: _Ground, tool: _Tool, x: float, y: float, z: float, highest: float, m: int, out: Floats
-) -> float:
+def _touch(ground: _Ground, tool: _Tool, x: float, y: float, z: float, highest: float, m: int, out: Floats) -> float:
     """Note how deep tip and head go into what stands at a place (cells); the height under it, beside the grid that of the base
     plate."""
     rows, columns = ground.top.shape

@@ -80,9 +80,7 @@ class BeadHeat:
     heat_j: Floats
 
 
-def entries_k(
-    beads: BeadHeat, sections: Sequence[BaseGeometry], heights_mm: Floats, config: Config
-) -> Floats:
+def entries_k(beads: BeadHeat, sections: Sequence[BaseGeometry], heights_mm: Floats, config: Config) -> Floats:
     """Temperature (P,) of what beads are laid on when the beam comes to them, K, in layers (L,) of sections and heights."""
     shapes = [_Shape.of(s, h) for s, h in zip(sections, heights_mm.tolist(), strict=True)]
     return _entered(_Column(config), beads, shapes)
@@ -107,9 +105,7 @@ class FollowedHeat:
     def __init__(self, config: Config) -> None:
         self._column = _Column(config)
 
-    def with_layer(
-        self, beads: BeadHeat, section: BaseGeometry, height_mm: float
-    ) -> tuple[Floats, FollowedHeat]:
+    def with_layer(self, beads: BeadHeat, section: BaseGeometry, height_mm: float) -> tuple[Floats, FollowedHeat]:
         """Lay one more layer of beads (P,), all of layer 0: temperature of what each is laid on, K, and the heat when the layer is
         done."""
         after = copy.copy(self)

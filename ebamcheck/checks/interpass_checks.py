@@ -171,9 +171,7 @@ def sections_of(layers: Layers) -> list[BaseGeometry]:
     return [layers.section(k) for k in range(len(layers))]
 
 
-def sections_of_text(
-    nc: NCProgram, config: Config, sections: Sequence[BaseGeometry] | None
-) -> list[BaseGeometry]:
+def sections_of_text(nc: NCProgram, config: Config, sections: Sequence[BaseGeometry] | None) -> list[BaseGeometry]:
     """Sections of the layers of a program: those known where they are as many, else what its contours enclose."""
     if sections is not None and len(sections) == len(nc.layer_files):
         return list(sections)
@@ -203,9 +201,7 @@ def build_times_s(nc: NCProgram, config: Config, sections: Sequence[BaseGeometry
     return {"programmed": programmed_s, "without_measures": busy_s, "dwell": busy_s + dwell_s}
 
 
-def _dwell_s(
-    beads: TextBeads, config: Config, shapes: Sequence[LayerShape], lowest: BaseGeometry | None
-) -> float:
+def _dwell_s(beads: TextBeads, config: Config, shapes: Sequence[LayerShape], lowest: BaseGeometry | None) -> float:
     """Waits at full power, each found by steps of time that grow by a half."""
     limit_k, at_bead = entry_limit_k(config), config.process.interpass_at == "bead"
     column, wait_s = begun_column(beads.scans, lowest, config), np.zeros(len(beads))
@@ -463,9 +459,7 @@ def _entries(nc: NCProgram, beads: TextBeads, bed_k: Floats, checked: Bools, con
     worst = int(rows[np.argmax(bed_k[rows])])
     figure_k, mark = within_range(float(bed_k[worst]), config)
     over = int((bed_k[rows] > limit_k).sum())
-    text = (
-        f"surface at {figure_k:.0f} K{mark} when {beads.named(worst)} is entered, by the balance of the heat"
-    )
+    text = f"surface at {figure_k:.0f} K{mark} when {beads.named(worst)} is entered, by the balance of the heat"
     if over:
         text += f"; {over} of {rows.size} entries are over {limit_k:.0f} K"
     return Check(INTERPASS, not over, figure_k, limit_k, "K", nc.where(int(beads.row[worst])), text)

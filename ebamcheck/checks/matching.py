@@ -195,9 +195,7 @@ def nearest_each(places: Floats, segments: Floats) -> tuple[Ints, Floats]:
 def shape_distance(driven: Floats, motion: Ints, wanted: Floats) -> Floats:
     """Largest distance of paths, (n, 2) and (m, 2) points, as shapes, both ways, at each motion of the first; `motion` (n,) is that
     of its points."""
-    path, target = (
-        np.hstack([at[:-1], at[1:]]) if len(at) > 1 else np.hstack([at, at]) for at in (driven, wanted)
-    )
+    path, target = (np.hstack([at[:-1], at[1:]]) if len(at) > 1 else np.hstack([at, at]) for at in (driven, wanted))
     result = np.zeros(int(motion.max()) + 1)
     np.maximum.at(result, motion, nearest_each(driven, target)[1])
     segment, missed = nearest_each(wanted, path)

@@ -242,8 +242,7 @@ def _turning(part: Part, cuts: Floats) -> Iterator[tuple[int, list[tuple[float, 
     across = ax * by - ay * bx
     rows = np.flatnonzero(below == np.searchsorted(cuts, high, side="right") - 1)
     floor, roof = (
-        np.bincount(below[rows] + 1, np.maximum(0.5 * sign * across[rows], 0.0), cuts.size + 1)
-        for sign in (1.0, -1.0)
+        np.bincount(below[rows] + 1, np.maximum(0.5 * sign * across[rows], 0.0), cuts.size + 1) for sign in (1.0, -1.0)
     )
     rows = rows[(np.minimum(floor, roof) > LEAST_MM2)[below[rows] + 1]]
     if not rows.size:

@@ -523,8 +523,7 @@ def read_field(path: Path) -> tuple[LayerField, int, float]:
         header = parsed_json((table.schema.metadata or {})[b"ebamcheck"])
         shape = tuple(header["shape"])
         share, laid, over = (
-            table.column(name).to_numpy().astype(np.float64).reshape(shape)
-            for name in ("share", "laid_mm", "over_mm")
+            table.column(name).to_numpy().astype(np.float64).reshape(shape) for name in ("share", "laid_mm", "over_mm")
         )
         target = Target(np.array(header["origin_mm"]), float(header["step_mm"]), share)
         return LayerField(target, laid, over), int(header["layer"]), float(header["thickness_mm"])

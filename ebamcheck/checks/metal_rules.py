@@ -105,9 +105,7 @@ def _is_wide(solid: pd.DataFrame, zone: str, process: ProcessSettings) -> Bools:
     return np.asarray(area >= LEAST_ZONE * process.bead_width_mm**2, np.bool_)
 
 
-def deposit_checks(
-    nc: NCProgram, found: Deposit, config: Config, below: MetalBelow | None = None
-) -> list[Check]:
+def deposit_checks(nc: NCProgram, found: Deposit, config: Config, below: MetalBelow | None = None) -> list[Check]:
     """Check the metal of a program, together with the metal `below`, see :func:`ebamcheck.checks.metal.deposit`. None: nothing
     stands there or, under the only layer of a program that does not begin on the plate (``layers.base_mm``), it is not known; that
     layer is then held to the limits of a single one alone."""
@@ -163,9 +161,7 @@ class _Metal:
         text = f"layer {int(row['layer']) + 1}, Z {row['z_mm']:.3f}"
         return f"{text}, at ({row[f'{at}_x_mm']:.1f}, {row[f'{at}_y_mm']:.1f})" if at else text
 
-    def judged(
-        self, name: str, k: int, figure: float, limit: float, unit: str, text: str, wall: bool = False
-    ) -> Check:
+    def judged(self, name: str, k: int, figure: float, limit: float, unit: str, text: str, wall: bool = False) -> Check:
         """Check whose worst layer is row `k`; with what to do about its thinnest `wall`, where it is over its limit."""
         row, remedy = self.solid.iloc[k], ""
         if wall and not figure <= limit and math.isfinite(row["wall_mm"]):

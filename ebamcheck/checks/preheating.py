@@ -201,9 +201,7 @@ def _events(scans: NCProgram, config: Config) -> Iterator[tuple[str, str]]:
         yield where, "ends with the beam out of focus: beads would be laid with it"
 
 
-def _paths(
-    nc: NCProgram, config: Config, sections: list[BaseGeometry], under: BaseGeometry | None
-) -> list[Check]:
+def _paths(nc: NCProgram, config: Config, sections: list[BaseGeometry], under: BaseGeometry | None) -> list[Check]:
     """Ways beside the region, at another height or speed, or beyond the travel; and what the lines leave out of the region.
     They lie evenly, about a spacing apart."""
     scans, faults, worst = nc.preheating, Faults(), (0.0, "", 0)

@@ -86,9 +86,7 @@ def section_check(
     index = nearest_layer(nc.end[rows, 2], z_of)
     known = evidence or Evidence(limit_mm, limit_mm)
 
-    found = run_each(
-        lambda k: _layer(nc, rows[index == k], layers, k, offset_mm, limit_mm, known), range(len(layers))
-    )
+    found = run_each(lambda k: _layer(nc, rows[index == k], layers, k, offset_mm, limit_mm, known), range(len(layers)))
     text = f"contour path against the {name} inset by {offset_mm:g} mm"
     if not found:
         return Check(name, True, 0.0, limit_mm, "mm", "", f"{text}: nothing to check")
@@ -198,9 +196,7 @@ def _allowed(at: Floats, off: Floats, section: BaseGeometry, k: int, known: Evid
     return allowed
 
 
-def _sections(
-    polygons: list[shapely.Polygon], offset_mm: float, narrow_mm: float
-) -> tuple[list[BaseGeometry], Floats]:
+def _sections(polygons: list[shapely.Polygon], offset_mm: float, narrow_mm: float) -> tuple[list[BaseGeometry], Floats]:
     """The section, with its narrow rings and without, and the lines (n, 4) along which the path must pass."""
     # It may keep the narrow rings or leave them out, and must pass where the border is there either way.
     section = layer_section(polygons)

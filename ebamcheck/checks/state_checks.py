@@ -266,9 +266,7 @@ def _smoothing(nc: NCProgram, config: Config, wanted: list[str], faults: Faults)
         faults.append((nc.beginning, "no tolerance of the path is set before the first motion"))
     if of.keeps_tolerance and not set(of.keeps_tolerance) & set(smoothing):
         said, keeps = " ".join(smoothing) or "nothing", ", ".join(of.keeps_tolerance)
-        what = (
-            f"machine.smoothing is {said}, without {keeps}: no other word keeps the path within the tolerance"
-        )
+        what = f"machine.smoothing is {said}, without {keeps}: no other word keeps the path within the tolerance"
         faults.append((nc.beginning, what))
     # A tolerance of its own stands in the same block.
     block = np.cumsum(np.append(True, (np.diff(e.file) != 0) | (np.diff(e.line) != 0)))[: len(e)]

@@ -116,11 +116,7 @@ def _height(full: NCProgram, table: TableColumns, config: Config) -> Check:
     text = f"the table turns, and the tool is on its way, {-found.value:.4g} mm and more over the least height of Z {least:.6g} mm"
     if not found.passed:
         worst = int(np.argmax(np.nan_to_num(short, nan=np.inf)))
-        what = (
-            "the tool moves aside from a height that is not known"
-            if aside[worst]
-            else "the tool is on its way"
-        )
+        what = "the tool moves aside from a height that is not known" if aside[worst] else "the tool is on its way"
         what = "the table turns" if turned[worst] else what
         z = np.fmin(start[worst, 2], end[worst, 2])
         text = f"{what} at Z {z:g} mm: all that the table carries comes to Z {highest:.6g} mm as it turns, {config.machine.clearance_mm:g} mm are to be kept"
@@ -216,9 +212,7 @@ def _places(corners: Floats, step_mm: float) -> Floats:
     return np.concatenate(found) if found else np.zeros((0, 3))
 
 
-def turned_checks(
-    nc: NCProgram, section: BaseGeometry, cut_mm: float, stands: Stands, config: Config
-) -> list[Check]:
+def turned_checks(nc: NCProgram, section: BaseGeometry, cut_mm: float, stands: Stands, config: Config) -> list[Check]:
     """Checks of a layer of a turned part, its section at the absolute height `cut_mm`: nothing is laid into what stands, or meets
     it."""
     n, d = stands.up
@@ -321,7 +315,9 @@ def _meets(nc: NCProgram, cut_mm: float, stands: Stands, config: Config) -> list
             checks.append(Check(name, True, value, 0.0, "mm", "", text))
         else:
             where = nc.where(int(of[worst]))
-            text = f"{what} what stands, base plate and part as they are turned, {value:.2f} mm deep at ({x:.1f}, {y:.1f})"
+            text = (
+                f"{what} what stands, base plate and part as they are turned, {value:.2f} mm deep at ({x:.1f}, {y:.1f})"
+            )
             checks.append(Check(name, False, value, 0.0, "mm", where, text, 0, x, y))
     return checks
 

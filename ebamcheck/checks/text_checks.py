@@ -198,10 +198,7 @@ def _half_ways(nc: NCProgram, lines: list[list[bytes]]) -> Faults:
     if len(half) > max(FEW, (1.0 - MOST_WHOLE) * len(across)) or len(across) < LEAST_WHOLE * len(half):
         return []  # A program in which blocks name what changes.
     what = f"as {len(across) - len(half)} others do"
-    return [
-        (f"{nc.files[file].name}:{line}", f"a rapid names no {axes[0]}, {what}")
-        for (file, line), axes in half
-    ]
+    return [(f"{nc.files[file].name}:{line}", f"a rapid names no {axes[0]}, {what}") for (file, line), axes in half]
 
 
 def _ways(nc: NCProgram, lines: list[list[bytes]]) -> Faults:
@@ -252,9 +249,7 @@ class Truth:
     differences: tuple[str, ...] = ()
 
 
-def header_checks(
-    nc: NCProgram, config: Config, truth: Truth, heights: ArrayLike | None = None
-) -> list[Check]:
+def header_checks(nc: NCProgram, config: Config, truth: Truth, heights: ArrayLike | None = None) -> list[Check]:
     """Check status and header of a program against settings, text, and what is known of it from elsewhere."""
     faults = [*_header(nc, config, truth), *_layers(nc, heights, config)]
     # Settings that name no control name the default one.
@@ -387,9 +382,7 @@ VALUES = (*BEAM_VALUES, "wire_mm_s")
 GEOMETRY = ("end", "coefficients", "arc")
 
 
-def entry_check(
-    whole: NCProgram, entry: NCProgram, layer: int, z_mm: float, config: Config, validated: bool
-) -> Check:
+def entry_check(whole: NCProgram, entry: NCProgram, layer: int, z_mm: float, config: Config, validated: bool) -> Check:
     """Check a program that begins at a layer, from 1, against the whole one; it is to be called `validated` as that is."""
     faults = list(_faults(whole, entry, layer, z_mm, config, Truth(validated)))
     good = f"{len(entry)} motions from layer {layer} on are those of the whole program"

@@ -163,9 +163,7 @@ def window_check(nc: NCProgram, config: Config) -> Check:
         *_outside(nc, rows, feed_mm_s, process.travel_window_mm_s, "mm/s along a bead"),
         *_outside(nc, laid, section, process.bead_section_mm2, "mm2 of metal over the length of a bead"),
         *_outside(nc, laid, heat, process.metal_energy_j_mm3, "J/mm3 of the wire that is melted"),
-        *_outside(
-            nc, laid[ramp], own_heat[ramp], process.metal_energy_j_mm3, "J/mm3 of the wire along a ramp"
-        ),
+        *_outside(nc, laid[ramp], own_heat[ramp], process.metal_energy_j_mm3, "J/mm3 of the wire along a ramp"),
     ]
     windows = {"voltage_kv": (process.voltage_window_kv, "kV"), "current_ma": (current_window, "mA")}
     e = nc.events

@@ -110,7 +110,9 @@ def summary(found: regression.Regression, advise: bool = True) -> list[str]:
     return lines
 
 
-TOLERANCE_MM = 0.1  # default of the error that a slicer may have: half of what the fitted curves may leave their contours by
+TOLERANCE_MM = (
+    0.1  # default of the error that a slicer may have: half of what the fitted curves may leave their contours by
+)
 
 
 @options.explained(

@@ -147,11 +147,7 @@ def _run_guarded(function: Callable[..., Any], *args: Any, **kwargs: Any) -> Exi
         sys.stdout.flush()
     except KeyboardInterrupt as interrupt:
         code = ExitCode.INTERRUPTED
-        kept = (
-            "what was finished is kept for --resume"
-            if function.__name__ in ("run", "check")
-            else str(interrupt)
-        )
+        kept = "what was finished is kept for --resume" if function.__name__ in ("run", "check") else str(interrupt)
         tell(f"interrupted; {kept}" if kept else "interrupted", ended=True)
     except (typer.Exit, typer.Abort):
         raise

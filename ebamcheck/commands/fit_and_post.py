@@ -95,9 +95,7 @@ def _row(name: str, curves: Curves, layers: Layers, truth: Layers | None) -> dic
 
 @options.explained(
     layer="Case of one layer, counted from 1, for a heat simulator.",
-    from_layer=Option(
-        min=1, help="Leave out the layers before this one, counted from 1: to go on after a break."
-    ),
+    from_layer=Option(min=1, help="Leave out the layers before this one, counted from 1: to go on after a break."),
 )
 def post_command(
     source: Annotated[Path, Argument(help="A finished run folder, or a part to slice, fit and plan.")],

@@ -50,9 +50,7 @@ def run(
 
     Look at the part, slice, cross-check, fit, partition, order, write the NC program, verify it and report.
     """
-    config = options.job_settings(
-        config_file, units, direction, layer_height, backends, witnesses, fix_orientation
-    )
+    config = options.job_settings(config_file, units, direction, layer_height, backends, witnesses, fix_orientation)
     config, source = options.placed_settings(config, place, rotate), options.part_or_plate(part, plate)
     part_ready = options.begun(source, config, "run", yes)
     folder = output or Path(f"{source.stem}.run")
@@ -95,9 +93,7 @@ def check(
     as_json: bool = False,
 ) -> ExitCode:
     """Slice with every backend and compare all pairs on every layer; as `run`, without a program."""
-    config = options.job_settings(
-        config_file, units, direction, layer_height, backends, witnesses, fix_orientation
-    )
+    config = options.job_settings(config_file, units, direction, layer_height, backends, witnesses, fix_orientation)
     config, source = options.placed_settings(config, place, rotate), options.part_or_plate(part, plate)
     config = config if slabs is None else config.changed(slicing={"slabs": slabs})
     from ebamcheck.preflight.workload import wanted_slabs

@@ -110,9 +110,7 @@ def scan_command(
     return scan_layer(placed, config, height, wanted, seeds, exported, output, as_json)
 
 
-def scan_all(
-    part: Part, config: Config, order: str, output: Path | None, as_json: bool, yes: bool
-) -> ExitCode:
+def scan_all(part: Part, config: Config, order: str, output: Path | None, as_json: bool, yes: bool) -> ExitCode:
     """Order all layers of a placed part; rows are written as they are done, so that an interrupt keeps them."""
     layers = slice_part(part, options.within_work(part, cut_heights(part, config), config, yes))
     sections = [layers.section(k) for k in range(len(layers))]
@@ -281,9 +279,7 @@ def order_pictures(
     hottest entry."""
     islands, section = compared.laid.islands, compared.laid.regions.section
     plans = {name: result.plan for name, result in results.items()}
-    scenes = {
-        n: pictures.Scene.of(section, plan.contours[0], plan.vectors_of(0)) for n, plan in plans.items()
-    }
+    scenes = {n: pictures.Scene.of(section, plan.contours[0], plan.vectors_of(0)) for n, plan in plans.items()}
     files = {}
     for name, result in results.items():
         rank, title = result.rank.astype(np.float64), f"{what}: rank, {name}"

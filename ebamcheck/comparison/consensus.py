@@ -175,9 +175,7 @@ def _measured(
             tables[p].append(rows.assign(layer=rows["layer"] + first))
         for column, layers in zip(figures, block, strict=True):
             column.append(contour_figures(layers))
-    of_pairs, of_stacks = (
-        [pd.concat(rows, ignore_index=True) for rows in every] for every in (tables, figures)
-    )
+    of_pairs, of_stacks = ([pd.concat(rows, ignore_index=True) for rows in every] for every in (tables, figures))
     return of_pairs, of_stacks
 
 

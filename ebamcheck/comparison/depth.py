@@ -100,9 +100,7 @@ def search(
 
 
 @kernel
-def _suspects(
-    a: Outline, b: Outline, from_a: bool, from_b: bool, difference: Floats, enough: float
-) -> Floats:
+def _suspects(a: Outline, b: Outline, from_a: bool, from_b: bool, difference: Floats, enough: float) -> Floats:
     """Trapezoids (S, 7) that may be deeper than enough: levels, x of both sides at each, bound of the depth."""
     suspects = np.empty((len(difference), 7))
     count = 0
@@ -177,9 +175,7 @@ def _bound(
             for c in range(4):
                 mean = max(mean, 0.5 * (corners[0, c] + corners[other, c]))
             ceiling = min(ceiling, mean)
-        if k == 0 and (
-            ceiling <= enough_mm(deepest.depth_mm, limit_mm) or depth < RIDGE_SHARE * deepest.depth_mm
-        ):
+        if k == 0 and (ceiling <= enough_mm(deepest.depth_mm, limit_mm) or depth < RIDGE_SHARE * deepest.depth_mm):
             return deepest, ceiling
     for i in range(4):
         for j in range(i + 1, 5):

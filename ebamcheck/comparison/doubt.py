@@ -72,9 +72,7 @@ def _agrees_beside(pair: Pair, a: Layers, b: Layers, doubts: Sequence[Doubt], ad
     boxes = shapely.union_all(rectangles)
 
     def agree(a: Layers, b: Layers, limit_mm: float) -> bool:
-        table = compare(
-            a, b, tolerance_mm=limit_mm, exact_a=pair.exact_a, exact_b=pair.exact_b, check_part=False
-        )
+        table = compare(a, b, tolerance_mm=limit_mm, exact_a=pair.exact_a, exact_b=pair.exact_b, check_part=False)
         return bool(table["agrees"].all())
 
     def outside(layers: Layers) -> Layers:

@@ -23,7 +23,9 @@ from ebamcheck.geometry.nearest import distances
 from ebamcheck.kernels import Bools, Floats, Ints
 
 MOST_STEPS = 30  # most steps of the fit
-SOFT = 0.1  # distance up to which its square counts, over the median at the start: beyond it distances count as they are
+SOFT = (
+    0.1  # distance up to which its square counts, over the median at the start: beyond it distances count as they are
+)
 FARTHEST = 0.5  # largest movement of a fit, over the size of the part: contours moved farther hardly overlap, and the fit is lost
 NESTED = 0.01  # least gain in the share explained for which a fit with more parameters is preferred
 PROMISING = 0.3  # share that a single cause must explain before two together are tried

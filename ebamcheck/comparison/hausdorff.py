@@ -18,23 +18,21 @@ from ebamcheck.kernels import Floats, Ints, kernel
 RESOLUTION_MM = 1e-7  # resolution of Hausdorff distances: ten thousand times finer than the default tolerance
 PERCENTILE = 0.95
 MOST_PASSED = 8  # most vertices examined between the nearest segments at both ends of a piece; more are rare
-MOST_PIECES = 200_000  # most pieces refined in one search; a count, not a time, so that results do not depend on the machine
+MOST_PIECES = (
+    200_000  # most pieces refined in one search; a count, not a time, so that results do not depend on the machine
+)
 STACK = 128  # size of the stack of pieces in one search; each halving adds one, so float64 runs out of halvings first
 
 
 class Directed(NamedTuple):
     """Distance of one outline's contours from another's."""
 
-    most_mm: (
-        float  # directed Hausdorff distance: the greatest distance of a point of the first from the second
-    )
+    most_mm: float  # directed Hausdorff distance: the greatest distance of a point of the first from the second
     x_mm: float
     y_mm: float
     segment: int  # segment of the first outline on which that point lies; -1 where there is none
     p95_mm: float  # distance that 95 % of the first outline's length does not exceed
-    near: (
-        Ints  # (M,) segment of the second outline nearest to each sample of the first; empty if there is none
-    )
+    near: Ints  # (M,) segment of the second outline nearest to each sample of the first; empty if there is none
 
 
 @kernel

@@ -130,9 +130,7 @@ def _halfway(o: Outline, other: Outline, farthest: Directed, known: Deepest) -> 
 # is farther from the second region's contours than the longest link, nor farther than half of that from the nearer contours.
 
 
-MOST_STEPS = (
-    8  # most vertices passed per segment and sample, on average: links that run back and forth prove nothing
-)
+MOST_STEPS = 8  # most vertices passed per segment and sample, on average: links that run back and forth prove nothing
 
 
 @kernel

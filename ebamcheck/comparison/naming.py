@@ -39,9 +39,7 @@ def named_findings(
     flaws, names, readers = MeshFlaws(part), list(stacks), [Reader(stack) for stack in stacks.values()]
     columns = [{name: rows[name].to_numpy() for name in rows.columns} for rows in tables]
     findings: list[tuple[int, int, Disagreement]] = []  # with layer and pair, by which they are sorted
-    differing: dict[
-        tuple[int, int, int], list[int]
-    ] = {}  # layers by pair, slicer that differs, and the other
+    differing: dict[tuple[int, int, int], list[int]] = {}  # layers by pair, slicer that differs, and the other
     for layer, (members, verdict) in enumerate(zip(consensus, verdicts, strict=True)):
         if verdict == EMPTY:
             findings.append((layer, 0, _empty_finding(flaws, names, layer, float(heights[layer]), columns)))

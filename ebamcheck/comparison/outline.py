@@ -117,9 +117,7 @@ def _outline(points: Floats, starts: Ints, closed: Bools, x_mm: float, y_mm: flo
                     cx, cy = points[n, 0], points[n, 1]
                     ux, uy, vx, vy = bx - x, by - y, cx - bx, cy - by
                     across, wx, wy = ux * vy - uy * vx, cx - x, cy - y
-                    if ux * vx + uy * vy > 0.0 and across * across <= tolerance * tolerance * (
-                        wx * wx + wy * wy
-                    ):
+                    if ux * vx + uy * vy > 0.0 and across * across <= tolerance * tolerance * (wx * wx + wy * wy):
                         continue
                 written[count, 0], written[count, 1], written[count, 2], written[count, 3] = x, y, bx, by
                 count += 1

@@ -331,7 +331,5 @@ def _counts(solid: BaseGeometry, thin_mm: float = 0.0) -> tuple[int, int]:
     holes = [shapely.Polygon(ring) for polygon in polygons for ring in polygon.interiors]
     if thin_mm > 0.0:
         shapes = polygons, holes
-        polygons, holes = (
-            [p for p in some if not eroded(p, thin_mm, ARC_SEGMENTS).is_empty] for some in shapes
-        )
+        polygons, holes = ([p for p in some if not eroded(p, thin_mm, ARC_SEGMENTS).is_empty] for some in shapes)
     return len(polygons), len(holes)

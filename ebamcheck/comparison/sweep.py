@@ -227,9 +227,7 @@ def _set_borders(edges: Floats, n: int) -> None:
 
 
 @kernel
-def _take_areas(
-    edges: Floats, marks: Ints, sums: Floats, difference: Floats, first: int, last: int, y: float
-) -> None:
+def _take_areas(edges: Floats, marks: Ints, sums: Floats, difference: Floats, first: int, last: int, y: float) -> None:
     """Add the trapezoids of gaps ``first .. last`` up to a level to the areas that they belong to.
 
     Whether a gap is in a region is a factor: which sums a gap adds to is as good as random, and a choice would be a branch.

@@ -212,9 +212,7 @@ def _shifted(sheets: Sequence[Sheet], count: int, b: Reader) -> Cause | None:
     return Cause(SHIFTED, float(best), "layers", text, 1.0 - least / before)
 
 
-def _duplicated(
-    sheets: Sequence[Sheet], areas: Floats, rings: Ints, differing: Ints, b: Reader
-) -> Cause | None:
+def _duplicated(sheets: Sequence[Sheet], areas: Floats, rings: Ints, differing: Ints, b: Reader) -> Cause | None:
     """Layers that repeat a neighbour although they do not in the other slicer's stack; areas and rings (L,) by layer."""
     equal = np.isclose(areas[1:], areas[:-1], rtol=1e-12, atol=0.0) & (rings[1:] == rings[:-1])
     every = np.arange(areas.size)
@@ -226,7 +224,9 @@ def _duplicated(
         seen = [sheet for sheet in sheets if sheet.layer in again]
         apart = [sheet.apart_mm2(b.layer(int(source[sheet.layer]))) for sheet in seen]
         if seen and sum(apart) <= SAME_SHARE * total_mm2(seen):
-            text = f"duplicated layers: {again.size} are the layer {which} again, the first is layer {int(again[0]) + 1}"
+            text = (
+                f"duplicated layers: {again.size} are the layer {which} again, the first is layer {int(again[0]) + 1}"
+            )
             share, layers = again.size / differing.size, frozenset(again.tolist())
             return Cause(DUPLICATED, float(again.size), "layers", text, share, layers)
     return None

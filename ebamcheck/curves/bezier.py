@@ -115,9 +115,7 @@ def span_points(
     return B, interval, piece
 
 
-def _spline_spans(
-    control: Floats, first_control: Ints, knots: Floats, first_knot: Ints
-) -> tuple[Floats, Floats]:
+def _spline_spans(control: Floats, first_control: Ints, knots: Floats, first_knot: Ints) -> tuple[Floats, Floats]:
     """Bezier points of the non-empty knot spans of splines, by their blossoms (de Boor), and their knot intervals."""
     if not first_knot.size:
         return np.empty((0, 4, 2)), np.empty(0)

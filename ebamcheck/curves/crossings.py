@@ -22,9 +22,7 @@ from ebamcheck.threads import run_blocks
 
 SMALLEST_MM = 1e-6  # Hulls that are smaller than this and still not separate count as touching
 
-MOST_WAITING = (
-    256  # Pairs of halves still to test: two for each halving of either span, of which there are at most 60
-)
+MOST_WAITING = 256  # Pairs of halves still to test: two for each halving of either span, of which there are at most 60
 JOINT_MM = 1e-3  # Consecutive spans are tested only beyond this distance from the point that they share
 
 

@@ -43,9 +43,7 @@ class Limits(NamedTuple):
     """How far curves may leave contours."""
 
     of_point: Floats  # (N,) limit at each point, mm; along the segment after it the greater of both ends
-    plane: (
-        Bools  # (N,) whether the segment after the point lies in a plane of the part, and does not leave it
-    )
+    plane: Bools  # (N,) whether the segment after the point lies in a plane of the part, and does not leave it
 
 
 class Lifting:

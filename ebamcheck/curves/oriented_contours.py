@@ -57,7 +57,9 @@ class OrientedContours(NamedTuple):
     """Points of rings with their directions, as columns."""
 
     points: Floats  # (K, 2) mm
-    starts: Ints  # (R + 1,) first point of each ring; a closed ring's last segment goes from its last point to its first
+    starts: (
+        Ints  # (R + 1,) first point of each ring; a closed ring's last segment goes from its last point to its first
+    )
     # On a circle both angles of a segment are half of what it spans; positive to the left.
     before: Floats  # (K,) angle from the chord before the point to the contour's direction at its end, rad
     after: Floats  # (K,) angle from the contour's direction at the start of the chord after the point to that, rad

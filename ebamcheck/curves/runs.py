@@ -29,9 +29,7 @@ class CleanRings(NamedTuple):
     collapsed: Bools  # (R,) rings smaller than the tolerances; they keep all their points and are not fitted
 
 
-def clean(
-    points: Floats, ring_starts: Ints, closed: Bools, near_point_mm: float, collinear_mm: float
-) -> CleanRings:
+def clean(points: Floats, ring_starts: Ints, closed: Bools, near_point_mm: float, collinear_mm: float) -> CleanRings:
     """Remove the points of rings, as columns of :class:`~ebamcheck.layers.stack.Layers`, that carry no shape.
 
     A point goes if it repeats or lies nearer than `near_point_mm` to the last one kept. Of a run of
@@ -163,9 +161,7 @@ class Runs(NamedTuple):
     tangents: Floats  # (P, 2, 2) unit directions at the two ends of a run, NaN where they are free
 
 
-def split(
-    points: Floats, cleaned: CleanRings, closed: Bools, corner_angle_deg: float, straight_run_mm: float
-) -> Runs:
+def split(points: Floats, cleaned: CleanRings, closed: Bools, corner_angle_deg: float, straight_run_mm: float) -> Runs:
     """Split clean rings at their corners and at the ends of straight segments.
 
     A corner is a point whose interior angle is under `corner_angle_deg`. A segment is straight if it

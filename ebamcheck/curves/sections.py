@@ -134,9 +134,7 @@ def place(exact: ExactSurfaces, before: Ints, after: Ints, heights: Floats, i: I
 MOST_PARTS = 32  # Most parts into which a segment is divided
 
 
-def refined(
-    forms: Floats, sides: Sides, heights: Floats, ring_starts: Ints, closed: Bools
-) -> tuple[Sides, Ints]:
+def refined(forms: Floats, sides: Sides, heights: Floats, ring_starts: Ints, closed: Bools) -> tuple[Sides, Ints]:
     """Contours with points inserted on exact surfaces, and the new starts of their rings.
 
     `forms` are the exact surfaces, `heights` (R,) those of the rings.

@@ -18,9 +18,7 @@ if TYPE_CHECKING:
     from shapely.geometry.base import BaseGeometry
 
 SEGMENTS_A_LEAF = 4  # segments in one leaf of the tree
-MOST_LEVELS = (
-    64  # depth of the largest tree that memory could hold, and so the most nodes a search has waiting
-)
+MOST_LEVELS = 64  # depth of the largest tree that memory could hold, and so the most nodes a search has waiting
 
 
 class SegmentTree(NamedTuple):
@@ -98,9 +96,7 @@ def nearest_segment(tree: SegmentTree, x: float, y: float, guess: int) -> tuple[
     if len(segments) == 0:
         return np.inf, -1
     leaves, found = len(boxes) // 2, max(guess, 0)
-    best = square_between(
-        x, y, segments[found, 0], segments[found, 1], segments[found, 2], segments[found, 3]
-    )
+    best = square_between(x, y, segments[found, 0], segments[found, 1], segments[found, 2], segments[found, 3])
     node = leaves + found // SEGMENTS_A_LEAF
     waiting[0], count = node, 1
     while True:

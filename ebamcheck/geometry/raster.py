@@ -56,9 +56,7 @@ def bare_samples(section: BaseGeometry, segments: Floats, bead_width_mm: float) 
         return BareSamples(np.zeros((0, 0), np.uint8), np.zeros(2), bead_width_mm, 1.0)
     x0, y0, x1, y1 = shapely.total_bounds(parts)
     narrowest, box = min(mean_width_mm(p) for p in parts), (x1 - x0) * (y1 - y0)
-    step = min(
-        bead_width_mm / SAMPLES_PER_BEAD, narrowest / SAMPLES_PER_WALL, math.sqrt(box / FEWEST_SAMPLES)
-    )
+    step = min(bead_width_mm / SAMPLES_PER_BEAD, narrowest / SAMPLES_PER_WALL, math.sqrt(box / FEWEST_SAMPLES))
     step = max(step, math.sqrt(box / MOST_SAMPLES), bead_width_mm / MOST_PER_BEAD)
     columns, rows = max(1, math.ceil((x1 - x0) / step)), max(1, math.ceil((y1 - y0) / step))
     polygons = np.empty(len(parts), object)
@@ -73,9 +71,7 @@ def bare_samples(section: BaseGeometry, segments: Floats, bead_width_mm: float) 
     return BareSamples(grid, origin, step, covered)
 
 
-def oriented_rings(
-    polygons: NDArray[np.object_], origin: Floats, step: Floats
-) -> tuple[Floats, tuple[Ints, Ints]]:
+def oriented_rings(polygons: NDArray[np.object_], origin: Floats, step: Floats) -> tuple[Floats, tuple[Ints, Ints]]:
     """Points in units of cells, first row of each ring, first ring of each polygon; solid to the left."""
     points, starts = ring_columns(shapely.orient_polygons(polygons))
     return np.ascontiguousarray((points - origin) / step), starts

@@ -66,9 +66,7 @@ def layer_section(polygons: BaseGeometry | Iterable[BaseGeometry]) -> BaseGeomet
                 "give those of one layer, such as layers.polygons(3)"
             )
         if not np.isfinite(shapely.get_coordinates(geometry)).all():
-            raise GeometryError(
-                f"polygon {number} of the layer has a coordinate that is not finite: mend the contour"
-            )
+            raise GeometryError(f"polygon {number} of the layer has a coordinate that is not finite: mend the contour")
     parts = [part for geometry in given for part in valid_polygons(geometry)]
     if len(parts) > 1:
         return shapely.union_all(parts)
@@ -145,9 +143,7 @@ def _part_eroded(part: BaseGeometry, distance_mm: float, quad_segs: int) -> Base
         return found
     start, end, _ = _sides(part)
     sides = shapely.linestrings(np.stack([start, end], axis=1))
-    found = shapely.difference(
-        part, shapely.union_all(shapely.buffer(sides, distance_mm, quad_segs=quad_segs))
-    )
+    found = shapely.difference(part, shapely.union_all(shapely.buffer(sides, distance_mm, quad_segs=quad_segs)))
     if is_inset(found, part, distance_mm, quad_segs):
         return found
     with np.errstate(over="ignore"):  # of slivers, whose place is found all the same

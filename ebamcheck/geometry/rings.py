@@ -121,9 +121,7 @@ def parents(points: Floats, ring_starts: Ints, layer_starts: Ints, areas: Floats
                     and boxes[s, 1] <= boxes[r, 1]
                     and boxes[s, 2] >= boxes[r, 2]
                     and boxes[s, 3] >= boxes[r, 3]
-                    and ring_in_ring(
-                        points, ring_starts[r], ring_starts[r + 1], ring_starts[s], ring_starts[s + 1]
-                    )
+                    and ring_in_ring(points, ring_starts[r], ring_starts[r + 1], ring_starts[s], ring_starts[s + 1])
                 ):
                     result[r] = s
     return result

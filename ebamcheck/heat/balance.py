@@ -34,7 +34,9 @@ from ebamcheck.heat.medium import STEFAN_BOLTZMANN_W_M2K4, EnthalpyTables, entha
 from ebamcheck.kernels import Floats, Ints, kernel
 from ebamcheck.settings.config import Config
 
-LARGEST_CELL_MM = 2.5  # largest height of a cell of the column: heat spreads over 20 times as far during a layer of one minute
+LARGEST_CELL_MM = (
+    2.5  # largest height of a cell of the column: heat spreads over 20 times as far during a layer of one minute
+)
 # Largest height of a joined cell of layers below, over its depth under the surface: the temperature field below a heated surface
 # is the smoother the deeper it is
 GROWTH = 0.05
@@ -79,9 +81,7 @@ class HeatColumn:
     content: Floats = field(default_factory=lambda: np.zeros(0))
     # The same of the base plate before the first layer, if it was preheated; empty: it is cold
     warm_plate: Floats = field(default_factory=lambda: np.zeros(0))
-    _cells: Floats = field(
-        default_factory=lambda: np.zeros((5, 0))
-    )  # height of each, then as in :class:`LayerShape`
+    _cells: Floats = field(default_factory=lambda: np.zeros((5, 0)))  # height of each, then as in :class:`LayerShape`
     _top: int = 0  # first cell of the uppermost layer
     _under: int = 0  # first cell of the layer under it
     _fields: ColumnFields | None = None  # the cells in the form that kernels read; None before there are any
@@ -178,9 +178,7 @@ class HeatColumn:
     def _stack(self, shape: LayerShape) -> None:
         count = max(1, math.ceil(shape.thickness_mm / LARGEST_CELL_MM))
         cell = [shape.thickness_mm / count, shape.area_mm2, shape.outer_mm, shape.inner_mm, shape.hole_mm2]
-        self._cells = np.ascontiguousarray(
-            np.column_stack([self._cells, np.tile(np.array(cell)[:, None], count)])
-        )
+        self._cells = np.ascontiguousarray(np.column_stack([self._cells, np.tile(np.array(cell)[:, None], count)]))
         self.content = np.concatenate([self.content, np.zeros(count)])
 
     def _join(self, owner: Ints) -> None:
@@ -206,9 +204,7 @@ class HeatColumn:
         """
         return float(self.drive((NO_TIME, NO_TIME, NO_TIME), bed_k, longest_s)[1][0])
 
-    def drive(
-        self, beads: BeadTimes, limit_k: float = math.inf, longest_s: float = math.inf
-    ) -> tuple[Floats, Floats]:
+    def drive(self, beads: BeadTimes, limit_k: float = math.inf, longest_s: float = math.inf) -> tuple[Floats, Floats]:
         """Heat the uppermost layer bead by bead: :meth:`advance` over the time before each bead, then over its own.
 
         The wait before a bead ends once the metal under it is no warmer than `limit_k`, the interpass temperature; after a wait longer
@@ -219,16 +215,12 @@ class HeatColumn:
             bed_k = np.full(len(beads[0]), self._bare_k)
             return bed_k, np.where(bed_k > limit_k, math.inf, 0.0)
         counted = np.array([self.absorbed_j, self.base_j, self.radiated_j])
-        result = driven(
-            self.content, self._fields, self._under, self._top, beads, limit_k, longest_s, counted
-        )
+        result = driven(self.content, self._fields, self._under, self._top, beads, limit_k, longest_s, counted)
         self.absorbed_j, self.base_j, self.radiated_j = counted.tolist()
         return result
 
 
-def radiating_mm2(
-    size: Floats, area: Floats, outer: Floats, inner: Floats, hole: Floats, emissivity: float
-) -> Floats:
+def radiating_mm2(size: Floats, area: Floats, outer: Floats, inner: Floats, hole: Floats, emissivity: float) -> Floats:
     """Surface (n,) of each cell by which it radiates to the chamber, times its emissivity, mm^2."""
     whole = area + hole
     ledge = np.maximum(whole - np.append(whole[1:], hole[-1:]), 0.0)
@@ -309,9 +301,7 @@ class _Step(NamedTuple):
 
 
 @kernel
-def march(
-    content: Floats, fields: ColumnFields, top: int, power: float, duration: float, steps: int
-) -> Floats:
+def march(content: Floats, fields: ColumnFields, top: int, power: float, duration: float, steps: int) -> Floats:
     """Age a column; `content` goes from the first to the last state. Returns the heat to the table and radiated, J.
 
     The cells from `top` up are heated by a power, W. What leaves in a step is counted as the last Newton step has

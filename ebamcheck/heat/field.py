@@ -14,7 +14,9 @@ import numpy as np
 from ebamcheck.heat.model import HeatModel
 from ebamcheck.kernels import Floats, Ints, kernel
 
-LEAST_DECAY = 1e-5  # decays under which what a place leaves is the first terms of its series: a difference from 1 would lose more
+LEAST_DECAY = (
+    1e-5  # decays under which what a place leaves is the first terms of its series: a difference from 1 would lose more
+)
 LEAST = -40.0  # exponent under which :func:`falling` gives the power of this one, 4e-18: nothing beside 1
 
 
@@ -25,9 +27,7 @@ class Modes(NamedTuple):
     plane_rate: Floats  # (K,) decays of these modes, 1/s
     depth_rate: Floats  # (N,) the same of the depth's
     in_layer: Floats  # (N,) means of the depth's modes over the layer
-    source_k_s: (
-        Floats  # (I,) beam power on each island while it is scanned, over the heat capacity of a volume
-    )
+    source_k_s: Floats  # (I,) beam power on each island while it is scanned, over the heat capacity of a volume
 
     def late(self, age_s: float) -> Modes:
         """Modes with sources and readings as small as their heat has become at an age."""
@@ -170,9 +170,7 @@ def late_heat(
 
 
 @kernel
-def surfaces_at_entries(
-    late: Modes, timetable: Timetable, age: float, start: Floats, in_layer: Floats
-) -> Floats:
+def surfaces_at_entries(late: Modes, timetable: Timetable, age: float, start: Floats, in_layer: Floats) -> Floats:
     """Amplitudes (I, K) of the section's modes in the layer when each island is entered, by the heat with which the layer begins,
     `start` (K, N), and by heat of at least an age, which comes to the `late` modes late by it, and as small as it has become."""
     state, surface = start.copy(), np.zeros((len(timetable.start_s), len(start)))

@@ -55,9 +55,7 @@ class Influence(NamedTuple):
     # (I, I + 1, Q) mean rise of an island by another one that was scanned from cold, a time after its end; the last column is what the
     # layer's first temperature leaves, a time after the beginning
     rise_k: Table
-    nodes_per_root_s: (
-        float  # a time t after the horizon lies so many sqrt(t) nodes after the node of the horizon
-    )
+    nodes_per_root_s: float  # a time t after the horizon lies so many sqrt(t) nodes after the node of the horizon
     fresh: FreshTable  # what entries have beyond the means
 
 
@@ -75,9 +73,7 @@ def influence(heat: IslandHeat, time_s: Floats, longest_s: float) -> Influence:
     rise = np.empty((count, count + 1, NODES), np.float32)
     # Whole products in every thread: what they round depends on which sources are in one.
     run_blocks(
-        lambda a, b: old_heat(
-            heat, time_s, near.horizon_s, since, rise, range(a * AT_ONCE, min(b * AT_ONCE, count))
-        ),
+        lambda a, b: old_heat(heat, time_s, near.horizon_s, since, rise, range(a * AT_ONCE, min(b * AT_ONCE, count))),
         math.ceil(count / AT_ONCE),
         SOURCES // AT_ONCE,
     )
@@ -95,9 +91,7 @@ def first_heat(heat: IslandHeat, since_s: Floats) -> Floats:
     return np.asarray(heat.modes.mean.T @ (across * ((heat.start_k * heat.modes.in_layer) @ through)))
 
 
-def old_heat(
-    heat: IslandHeat, time_s: Floats, horizon_s: float, since_s: Floats, rise: Table, sources: range
-) -> None:
+def old_heat(heat: IslandHeat, time_s: Floats, horizon_s: float, since_s: Floats, rise: Table, sources: range) -> None:
     """Write the rises :attr:`Influence.rise_k` by heat of sources older than the horizon, at times (Q,) after their end."""
     modes, depth_rate = heat.modes, np.maximum(heat.modes.depth_rate, LEAST_RATE)
     rate = np.add.outer(modes.plane_rate, depth_rate)

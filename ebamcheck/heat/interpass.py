@@ -174,9 +174,7 @@ def simulate(
 class _Run:
     """A layer while it is simulated: the part's heat, and waits and temperatures, bead by bead."""
 
-    def __init__(
-        self, job: LayerJob, config: Config, share: float, part: PartHeat, waits: bool, keep: bool
-    ) -> None:
+    def __init__(self, job: LayerJob, config: Config, share: float, part: PartHeat, waits: bool, keep: bool) -> None:
         process, limit_k = config.process, entry_limit_k(config)
         self.part = part
         self.wait_s, self.bed_k, self.mean_k, self.away_s = (np.zeros(len(job.beads)) for _ in range(4))
@@ -187,9 +185,7 @@ class _Run:
         self._pause_s = 0.0 if job.lowest else process.layer_pause_s
         self._every = process.interpass_at == "bead"
         self._body_k = self._enter_k = 0.0
-        self._before: Field | None = (
-            None  # what differs across the section when the island of further beads is begun
-        )
+        self._before: Field | None = None  # what differs across the section when the island of further beads is begun
         self._begun = 0  # its first bead
 
     def lay_island(self, first: int, last: int) -> bool:

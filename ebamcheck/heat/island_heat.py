@@ -16,9 +16,7 @@ from ebamcheck.kernels import Floats, Ints, kernel
 from ebamcheck.settings.config import Config
 
 PLANNING_MODES = 400  # modes of the section that a plan uses at most: beyond, only the longest waves count
-PLANNING_WORK = (
-    4e9  # modes times the square of the islands in a plan at most: over 3000 islands it knows fewer modes
-)
+PLANNING_WORK = 4e9  # modes times the square of the islands in a plan at most: over 3000 islands it knows fewer modes
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,9 +97,7 @@ def with_fresh_heat(
     return replace(heat, near=near_field(heat.model, heat.complete, entry, lines, section, islands, bead_mm))
 
 
-def old_at_entries(
-    heat: IslandHeat, order: Ints, start_s: Floats, end_s: Floats, at: Floats | None = None
-) -> Floats:
+def old_at_entries(heat: IslandHeat, order: Ints, start_s: Floats, end_s: Floats, at: Floats | None = None) -> Floats:
     """Rise of each island when it is entered by heat older than the horizon, of which the modes have all, K: means of the islands
     (I,); with modes (I, E, K) at places of each, at these (I, E)."""
     horizon_s, modes = heat.fresh.horizon_s, heat.modes

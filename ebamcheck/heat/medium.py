@@ -96,9 +96,7 @@ def _tables(material: MaterialSettings, ambient_k: float) -> EnthalpyTables:
     capacities: Floats = np.array(material.heat_capacity_by_temperature, np.float64)
     conductivities: Floats = np.array(material.conductivity_by_temperature, np.float64)
     # The nodes of the data are among the temperatures, so the trapezoidal sums over linear pieces are exact.
-    corners = np.concatenate(
-        [capacities[:, 0], conductivities[:, 0], [material.solidus_k, material.liquidus_k]]
-    )
+    corners = np.concatenate([capacities[:, 0], conductivities[:, 0], [material.solidus_k, material.liquidus_k]])
     even = np.arange(ambient_k, HOTTEST_K + STEP_K, STEP_K)
     temperature = np.union1d(even, corners[(corners > ambient_k) & (corners < HOTTEST_K)])
     width, middle = np.diff(temperature), 0.5 * (temperature[:-1] + temperature[1:])

@@ -24,9 +24,7 @@ class HeatModel:
     plane: ContourModes  # of the section
     depth: DepthModes
     medium: Medium
-    layer_mm: (
-        float  # thickness of the layer in which heat is released, and over which its temperature is averaged
-    )
+    layer_mm: float  # thickness of the layer in which heat is released, and over which its temperature is averaged
 
     @property
     def rate(self) -> Floats:

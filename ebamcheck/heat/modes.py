@@ -212,9 +212,7 @@ class SectionGrid:
     step: Floats  # (2,) width and height of a cell, mm
     number: Ints  # (rows, columns) number of each cell, -1 outside the section
     area_mm2: Floats  # (M,) area of each cell within the section
-    coupling: (
-        sparse.csr_array
-    )  # (M, M) Laplacian of the faces, positive semi-definite: open length over distance
+    coupling: sparse.csr_array  # (M, M) Laplacian of the faces, positive semi-definite: open length over distance
 
     def island_shares(self, islands: NDArray[np.object_]) -> sparse.csr_array:
         """Share of each island's area in each cell, (I, M): rows add up to 1, or are empty."""

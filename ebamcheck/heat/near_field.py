@@ -171,9 +171,7 @@ def cumulated(values: Floats, horizon_s: float) -> Floats:
 
 
 @kernel
-def between_pieces(
-    first: Ints, place: Floats, share: Floats, variance: Floats, pairs: Ints, spread: Floats
-) -> Floats:
+def between_pieces(first: Ints, place: Floats, share: Floats, variance: Floats, pairs: Ints, spread: Floats) -> Floats:
     """Share of the heat of one island of each pair in a unit area of the other in an endless plane, (U, Q) 1/mm^2."""
     result = np.zeros((len(pairs), len(spread)))
     most = np.diff(first).max() if len(first) > 1 else 0
@@ -304,9 +302,7 @@ def ray_table() -> Floats:
 
 
 @kernel
-def in_sight(
-    points: Floats, variance: Floats, outline: Floats, goes_on: Bools, boxes: Floats, rays: Floats
-) -> Floats:
+def in_sight(points: Floats, variance: Floats, outline: Floats, goes_on: Bools, boxes: Floats, rays: Floats) -> Floats:
     """Shares as :func:`enclosed_share` gives them, before their least.
 
     From each of the points (S, 2) of the `outline` to the next goes a segment, where it `goes_on`; `boxes` (B, 4) are those of its
@@ -360,14 +356,10 @@ class Pieces(NamedTuple):
     place: Floats  # (M, 2) middle, mm
     share: Floats  # (M,) share of the island's heat, and of its area
     passed: Floats  # (4, M) share of the island's time after which the beam is there, by the entry option; no rows for tiles
-    variance: (
-        Floats  # (M,) of the heat around the middle along one axis, mm^2: of a square tile of the same area
-    )
+    variance: Floats  # (M,) of the heat around the middle along one axis, mm^2: of a square tile of the same area
 
 
-def line_pieces(
-    lines: tuple[Ints, Floats, Floats], centroid: Floats, area_mm2: Floats, longest_mm: float
-) -> Pieces:
+def line_pieces(lines: tuple[Ints, Floats, Floats], centroid: Floats, area_mm2: Floats, longest_mm: float) -> Pieces:
     """Cut lines into pieces of at most a length; an island without lines is one piece at its centroid.
 
     The beam counts as passing from line to line in no time, and as driving all of them in the island's time.

@@ -157,9 +157,7 @@ class PartHeat:
         edges = np.minimum(self.column.edges_mm, depth.depth_mm)
         size, middle = np.diff(edges), 0.5 * (edges[1:] + edges[:-1])
         rise_k = self.column.temperature_k - self.column.config.process.ambient_temperature_k
-        mean = np.sinc(0.5 * np.multiply.outer(size, depth.wave_number) / np.pi) * depth.at(
-            depth.depth_mm - middle
-        )
+        mean = np.sinc(0.5 * np.multiply.outer(size, depth.wave_number) / np.pi) * depth.at(depth.depth_mm - middle)
         uneven = state - np.multiply.outer(flat, flat @ state) / (flat @ flat)
         return np.asarray(uneven + np.multiply.outer(flat, (rise_k * size) @ mean), np.float64)
 

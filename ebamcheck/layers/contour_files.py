@@ -70,9 +70,7 @@ def read_csv(path: str | Path) -> Layers:
         raise InputError(f"{path}: the points of one layer have several heights: give each layer one")
     rows = table.filter(table["ring"].is_valid())
     if any(rows[name].null_count for name in TYPES):
-        raise InputError(
-            f"{path}: a point lacks a number: fill in all fields, or leave `ring` to `y_mm` empty"
-        )
+        raise InputError(f"{path}: a point lacks a number: fill in all fields, or leave `ring` to `y_mm` empty")
     of_layer, ring, closed = (rows[name].to_numpy() for name in ("layer", "ring", "closed"))
     points = np.column_stack([rows["x_mm"].to_numpy(), rows["y_mm"].to_numpy()])
     begins = np.flatnonzero((np.diff(of_layer, prepend=0) != 0) | (np.diff(ring, prepend=-1) != 0))
@@ -265,9 +263,7 @@ def _write_polydata(
         encoded = base64.b64encode(len(data).to_bytes(8, "little") + data)
         offset, length = length, length + len(encoded)
         appended.append(encoded)
-        kind_of_array = (
-            f'type="{VTK_TYPES[little.dtype.str]}" Name={quoteattr(name)} NumberOfComponents="{components}"'
-        )
+        kind_of_array = f'type="{VTK_TYPES[little.dtype.str]}" Name={quoteattr(name)} NumberOfComponents="{components}"'
         return f'<DataArray {kind_of_array}{more} format="appended" offset="{offset}"/>'
 
     def section(tag: str, *arrays: str) -> list[str]:
@@ -276,15 +272,11 @@ def _write_polydata(
     numbers = {name: len(cells[1]) if name == kind else 0 for name in ("Verts", "Lines", "Strips", "Polys")}
     counts = " ".join(f'NumberOf{name}="{number}"' for name, number in numbers.items())
     of_stack = {} if heights is None else {"height_mm": heights}
-    fields = [
-        array(name, column, more=f' NumberOfTuples="{len(column)}"') for name, column in of_stack.items()
-    ]
+    fields = [array(name, column, more=f' NumberOfTuples="{len(column)}"') for name, column in of_stack.items()]
     of_points = [array(name, column) for name, column in (point_data or {}).items()]
     of_cells = [array(name, column) for name, column in cell_data.items()]
     places = array("Points", points, 3)
-    joined = [
-        array(n, np.asarray(c, np.int64)) for n, c in zip(("connectivity", "offsets"), cells, strict=True)
-    ]
+    joined = [array(n, np.asarray(c, np.int64)) for n, c in zip(("connectivity", "offsets"), cells, strict=True)]
     lines = [
         '<?xml version="1.0"?>',
         '<VTKFile type="PolyData" version="1.0" byte_order="LittleEndian" header_type="UInt64">',
@@ -392,9 +384,7 @@ def slice_heights(layers: Layers) -> tuple[float, Floats]:
     cuts = layers.heights
     steps = np.diff(cuts)
     if cuts.size < 2 or (steps <= 0.0).any():
-        raise SettingsError(
-            "3MF slices need at least two layers whose heights rise: sort them and drop repeats"
-        )
+        raise SettingsError("3MF slices need at least two layers whose heights rise: sort them and drop repeats")
     borders = cuts[:-1] + 0.5 * steps
     return float(cuts[0] - 0.5 * steps[0]), np.append(borders, cuts[-1] + 0.5 * steps[-1])
 

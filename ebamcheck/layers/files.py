@@ -153,9 +153,7 @@ def write_blocks(blocks: Iterable[Layers], path: str | Path) -> int:
                 file = opened.enter_context(pq.ParquetWriter(temporary, batch.schema, **NUMBERS))
                 aside = opened.enter_context(ThreadPoolExecutor(1))
             elif not batch.schema.equals(file.schema, check_metadata=True):
-                raise SettingsError(
-                    f"{path}: block at layer {count + 1} differs from the first in labels or columns"
-                )
+                raise SettingsError(f"{path}: block at layer {count + 1} differs from the first in labels or columns")
             if writing is not None:
                 writing.result()
             writing = aside.submit(file.write_batch, batch, max(1, rows))

@@ -141,7 +141,9 @@ LEVEL_MM = 0.01
 LEVEL_COS = float(np.cos(np.radians(0.5)))
 SAME_BORDER_MM = 1e-6  # a face this near to a border of layers lies on it
 THIN_MM = 1e-6  # height over a cut whose volume gives the area of the section: h + 0, no facet's height
-OTHER_HEIGHTS = 0.25  # how far a layer height that is proposed may lie beside a bead's: what wire and feed can be changed for
+OTHER_HEIGHTS = (
+    0.25  # how far a layer height that is proposed may lie beside a bead's: what wire and feed can be changed for
+)
 
 
 class LevelFace(NamedTuple):

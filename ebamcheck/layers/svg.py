@@ -89,9 +89,7 @@ def overlay_svg(
     return _document(body, view, width_px, heading)
 
 
-def sheet_svg(
-    layers: Layers, *, width_px: int = 1200, columns: int = 4, most: int = 16, exact: bool = False
-) -> str:
+def sheet_svg(layers: Layers, *, width_px: int = 1200, columns: int = 4, most: int = 16, exact: bool = False) -> str:
     """Draw up to `most` layers side by side at one scale; `exact` holds all contours with every digit, the others hidden."""
     if not len(layers):
         raise SettingsError("no layers to draw: the stack is empty")
@@ -139,9 +137,7 @@ def read_stack(path: str | Path) -> Layers:
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
     except (ElementTree.ParseError, ValueError) as error:
-        raise InputError(
-            f"{path}: is no SVG with contours at heights, as `slice -o` writes it: {error}"
-        ) from None
+        raise InputError(f"{path}: is no SVG with contours at heights, as `slice -o` writes it: {error}") from None
     return from_paths(heights, layers)
 
 

@@ -87,9 +87,7 @@ class Before:
         return replace(self, surface=self.surface.with_map(figures.over_mm).mending(mended))
 
 
-def metal_checks(
-    program: NCProgram, witness: Layers, before: Before, config: Config
-) -> tuple[list[Check], Before]:
+def metal_checks(program: NCProgram, witness: Layers, before: Before, config: Config) -> tuple[list[Check], Before]:
     """Checks of a layer's metal on what stands, and what stands with it; its heat is that before it.
 
     Sums count from the plate up, by the limits of a whole part, the layer and the surface by those of a single one. It has to pass
@@ -126,7 +124,9 @@ class Correction:
         """The reason, in words."""
         off_k = self.measured.surface_k - self.modelled_k
         what = f"{abs(off_k):.0f} K {'warmer' if off_k > 0.0 else 'colder'} than worked out"
-        return f"{self.measured.after_s:g} s after the layer the part is {what}: its rise counts {self.factor:.3f} times"
+        return (
+            f"{self.measured.after_s:g} s after the layer the part is {what}: its rise counts {self.factor:.3f} times"
+        )
 
     def told(self) -> dict[str, Any]:
         """Return the figures and the reason, for answer, journal and certificate."""

@@ -121,7 +121,9 @@ class Building:
         if last is None or standing is None:
             raise Refused("not-started", NOT_STARTED)
         if reading.done == last.done:
-            said = f"the top of {last.done} layers was measured before, at {last.height_mm:g} mm: the first reading counts"
+            said = (
+                f"the top of {last.done} layers was measured before, at {last.height_mm:g} mm: the first reading counts"
+            )
             raise Refused("repeated", said)
         if self.finished:
             raise Refused("finished", "the part is built: no layer is left")

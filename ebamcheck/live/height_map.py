@@ -149,9 +149,7 @@ def placed(grid: Floats, frame: HeightMapSettings, where: str) -> HeightMap:
     return _known(x, y, grid.reshape(-1), frame, max(frame.step_mm), where)
 
 
-def _known(
-    x: Floats, y: Floats, value: Floats, frame: HeightMapSettings, step_mm: float, where: str
-) -> HeightMap:
+def _known(x: Floats, y: Floats, value: Floats, frame: HeightMapSettings, step_mm: float, where: str) -> HeightMap:
     """Leave holes out, and give heights in millimetres."""
     known = np.isfinite(value)
     if frame.hole is not None:
@@ -167,9 +165,7 @@ class MapCells:
     """A map in the cells of a part's metal."""
 
     corner: tuple[int, int]  # column and row of the first cell from the part's origin
-    kept: np.ndarray[
-        Any, np.dtype[np.int32]
-    ]  # (rows, columns) heights in micrometres, HOLE where none is known
+    kept: np.ndarray[Any, np.dtype[np.int32]]  # (rows, columns) heights in micrometres, HOLE where none is known
 
     @property
     def height_mm(self) -> Floats:
@@ -306,7 +302,9 @@ def figures_of(cells: MapCells, surface: Surface, config: Config) -> MapFigures:
         )
         off, side, (x, y) = hump if hump[0] >= dip[0] else dip
         where = f"the layer lies {off:.2f} mm {side} its mean of {mean_mm:.3f} mm at ({x:.1f}, {y:.1f})"
-        what = f"at most {limit:.2f} mm can be mended (height_map.uneven_mm): machine or fill it there, and measure again"
+        what = (
+            f"at most {limit:.2f} mm can be mended (height_map.uneven_mm): machine or fill it there, and measure again"
+        )
         raise Refused("map-uneven", f"{where}: {what}")
     return figures
 

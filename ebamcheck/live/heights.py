@@ -60,9 +60,7 @@ def at_speed(config: Config, share: float) -> Config:
     """Return the settings of a layer that is laid at a share of the feed of the process."""
     process, names = config.process, ("travel_speed_mm_s", "wire_speed_mm_s")
     changes = {name: getattr(process, name) * share for name in names}
-    return (
-        config if share == 1.0 else config.model_copy(update={"process": process.model_copy(update=changes)})
-    )
+    return config if share == 1.0 else config.model_copy(update={"process": process.model_copy(update=changes)})
 
 
 def at_layer_feed(config: Config, thickness_mm: float, mapped: bool = False, along: bool = True) -> Config:
@@ -105,13 +103,10 @@ def bead_limits(config: Config) -> Limits:
     """Limits of the bead: the process window, the wire feed, and the power that melts the wire."""
     process = config.process
     per_mm = nominal_wire_speed_mm_s(config, 1.0)
-    lowest, highest = (
-        (share * process.bead_height_mm, "process.layer_over_bead") for share in process.layer_over_bead
-    )
+    lowest, highest = ((share * process.bead_height_mm, "process.layer_over_bead") for share in process.layer_over_bead)
     melted = _farthest(lambda mm: least_power_share(config, mm) <= 1.0, 0.0, highest[0], 60)
     slowest, fastest = (
-        (getattr(process, name) / per_mm, f"process.{name}")
-        for name in ("wire_speed_min_mm_s", "wire_speed_max_mm_s")
+        (getattr(process, name) / per_mm, f"process.{name}") for name in ("wire_speed_min_mm_s", "wire_speed_max_mm_s")
     )
     least, most = max(lowest, slowest), min(highest, fastest, (melted, "the power of the beam"))
     if least[0] > most[0]:
@@ -126,8 +121,7 @@ def feed_limits(config: Config, limits: Limits) -> Limits:
     process = config.process
     low, high = (share * process.bead_height_mm for share in process.layer_over_bead)
     least, most = (
-        _farthest(lambda mm: speed_share(config, mm) is not None, limits.usual_mm, to_mm, 50)
-        for to_mm in (low, high)
+        _farthest(lambda mm: speed_share(config, mm) is not None, limits.usual_mm, to_mm, 50) for to_mm in (low, high)
     )
     least, most = min(least, limits.least_mm), max(most, limits.most_mm)
     bead, feed = "process.layer_over_bead", "wire, beam and every feed"
@@ -152,7 +146,9 @@ class Slopes:
 
     faces_mm: Floats  # (F,) Z of its level faces over its lowest point, rising, the top the last
     step_mm: float
-    level: Floats  # (n,) greatest cosine of the slope in each step from below, 0 for a vertical wall, without level faces
+    level: (
+        Floats  # (n,) greatest cosine of the slope in each step from below, 0 for a vertical wall, without level faces
+    )
 
     @classmethod
     def of(cls, part: Part, step_mm: float) -> Slopes:
@@ -294,9 +290,7 @@ class HeightRule:
             if z - low < limits.least_mm * (1.0 - ROUNDING):
                 if z != top:
                     least = f"less than the least layer, {limits.least_mm:.3f} mm by {limits.why[0]}"
-                    said.append(
-                        f"the face at Z {z:.3f} is not met: {z - low:.3f} mm over {low:.3f} is {least}"
-                    )
+                    said.append(f"the face at Z {z:.3f} is not met: {z - low:.3f} mm over {low:.3f} is {least}")
                     continue
                 while kept and z - (kept[-2] if len(kept) > 1 else base_mm) < limits.least_mm:
                     kept.pop()

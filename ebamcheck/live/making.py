@@ -178,9 +178,7 @@ class LayerMaker(AbstractContextManager["LayerMaker"]):
             return made
         return self._made(wanted, before, folder, self.config_of(wanted, mapped, False))
 
-    def _made(
-        self, wanted: Wanted, before: Before, folder: Path, config: Config, cooler_k: float = 0.0
-    ) -> MadeLayer:
+    def _made(self, wanted: Wanted, before: Before, folder: Path, config: Config, cooler_k: float = 0.0) -> MadeLayer:
         """Make one layer by its settings, on a plan that aims under the limit of the heat by some kelvins."""
         seconds: dict[str, float] = {}
         stands, aimed = before.measured(), config

@@ -52,9 +52,7 @@ def layer_name(program: str, layer: int, number: int) -> str:
     return name
 
 
-def certificate_of(
-    made: MadeLayer, maker: LayerMaker, measured: Mapping[str, Any] | None = None
-) -> dict[str, Any]:
+def certificate_of(made: MadeLayer, maker: LayerMaker, measured: Mapping[str, Any] | None = None) -> dict[str, Any]:
     """What is known of a made layer, and was `measured` under it, as its certificate holds it: nothing of the clock."""
     wanted, after, config, part, files = made.wanted, made.after, made.config, maker.part, made.files
     assert after.below is not None
@@ -160,9 +158,7 @@ def current_of(certificate: Mapping[str, Any]) -> dict[str, Any]:
     return {"name": name, "program": program, "sha256": sha256, **{key: certificate[key] for key in SAID}}
 
 
-def current_off(
-    place: Path, program: Path, current: Mapping[str, Any], paper: Mapping[str, Any]
-) -> list[str]:
+def current_off(place: Path, program: Path, current: Mapping[str, Any], paper: Mapping[str, Any]) -> list[str]:
     """What a control is told in `current` that is not so, by the file that it is to call and the certificate; empty where all
     is."""
     inside = program.parent == place and program.is_file()

@@ -198,9 +198,7 @@ class FinishedRun:
         return files[layer + 1] if layer + 1 < len(files) else None
 
 
-def finished_run(
-    folder: Path, part: Path | None = None, direction: tuple[float, ...] | None = None
-) -> FinishedRun:
+def finished_run(folder: Path, part: Path | None = None, direction: tuple[float, ...] | None = None) -> FinishedRun:
     """Load a finished run and its part; refused is a run without a program, and a part of which it was not made."""
     run = RunFolder(folder)
     manifest = run.manifest()

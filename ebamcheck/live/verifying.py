@@ -208,9 +208,7 @@ def read_verified(folder: Path) -> dict[str, VerifiedLayer]:
         raise InputError(f"{path}: is not what `ebamcheck verify` writes") from None
 
 
-def layer_text(
-    program: Path, paper: Mapping[str, Any], config: Config
-) -> tuple[BeadHeat, BaseGeometry] | None:
+def layer_text(program: Path, paper: Mapping[str, Any], config: Config) -> tuple[BeadHeat, BaseGeometry] | None:
     """Heat and section of one layer, whose certificate tells the wait before it; None where its text does not say how warm it makes
     the part.
 

@@ -77,7 +77,9 @@ class Bodies:
     label: Index  # (F,) body of each facet, from 0; -1 for a facet with a repeated corner
     volumes: Floats  # (B,) signed volume of each, mm3
     relations: tuple[Relation, ...]
-    volume_mm3: float  # volume of what is built (winding number > 0). Of a part that is open or inside out: the signed sum
+    volume_mm3: (
+        float  # volume of what is built (winding number > 0). Of a part that is open or inside out: the signed sum
+    )
     signed_mm3: float
     known: bool = True
     """Whether that is the volume of the union; else it is the signed sum, because there were too many or too odd bodies."""

@@ -52,9 +52,7 @@ def read_obj(data: bytes | memoryview, name: str) -> tuple[NDArray[np.float64], 
         raise InputError(f"{name}: holds facets and no vertex (OBJ)")
     points = numbers_of(vertices, name).reshape(-1, 3)
     index = [
-        _row(corner, before, len(points), f"{name}: line {k + 1}")
-        for k, before, words in corners
-        for corner in words
+        _row(corner, before, len(points), f"{name}: line {k + 1}") for k, before, words in corners for corner in words
     ]
     sizes = np.array([len(words) for _, _, words in corners], np.int64)
     cut = last == len(lines) - 1 and not data.endswith((b"\n", b"\r"))
@@ -134,9 +132,7 @@ def read_ply(data: bytes | memoryview, name: str) -> tuple[NDArray[np.float64], 
     if not good.all():
         at = int(np.flatnonzero(~good)[0])
         facet = int(np.searchsorted(np.cumsum(sizes), at, side="right"))
-        raise InputError(
-            f"{name}: facet {facet} names vertex {told[at]:g}, which is none of {len(vertices)} vertices"
-        )
+        raise InputError(f"{name}: facet {facet} names vertex {told[at]:g}, which is none of {len(vertices)} vertices")
     index = told.astype(np.int64)
     return checked_finite(polygon_corners(vertices, index, sizes), name), []
 

@@ -26,9 +26,7 @@ class Mesh:
         """Box of the vertices that facets use, (2, 3) mm: least and greatest corner."""
         if not len(self.faces):
             return np.zeros((2, 3))
-        used = (
-            self.vertices if len(self.vertices) <= 3 * len(self.faces) else self.vertices[self.faces.ravel()]
-        )
+        used = self.vertices if len(self.vertices) <= 3 * len(self.faces) else self.vertices[self.faces.ravel()]
         # Column by column: many times faster than numpy's reduction along the first axis of three columns.
         columns = [used[:, c] for c in range(3)]
         return np.array([[column.min() for column in columns], [column.max() for column in columns]])
@@ -163,9 +161,7 @@ def unit_vector(direction: ArrayLike) -> Vector:
     vector = np.asarray(direction, dtype=np.float64).reshape(-1)
     length = float(np.linalg.norm(vector)) if vector.size == 3 else 0.0
     if vector.size != 3 or not np.isfinite(length) or length == 0.0:
-        raise SettingsError(
-            f"slicing direction {direction!r} is not a direction: give three numbers, not all 0"
-        )
+        raise SettingsError(f"slicing direction {direction!r} is not a direction: give three numbers, not all 0")
     x, y, z = (vector / length + 0.0).tolist()
     return (x, y, z)
 

@@ -268,9 +268,7 @@ def read_part(path: str | Path, settings: PartSettings) -> tuple[Part, int]:
 def read_reference(path: str | Path, part_path: str | Path, settings: PartSettings) -> Part:
     """Read a finer mesh of a part, and move it exactly as the part is moved, although their boxes differ slightly."""
     if plates := [file for file in (path, part_path) if is_plate(file)]:
-        raise SettingsError(
-            f"{plates[0]}: a reference is of one part: measure the parts of a plate one by one"
-        )
+        raise SettingsError(f"{plates[0]}: a reference is of one part: measure the parts of a plate one by one")
     fine = load(path, settings.units or "").along(settings.direction)
     if settings.place_at_mm is None and not settings.rotate_deg:
         return fine

@@ -71,9 +71,7 @@ def checked_count(head: bytes, size: int, name: str, blank: bool = False) -> tup
     count = binary_count(head)
     more = size - HEADER_BYTES - FACET_BYTES * count
     if size < HEADER_BYTES:
-        raise InputError(
-            f"{name}: is no STL file: {size} bytes, under the 84 of a binary header, and no ASCII 'solid'"
-        )
+        raise InputError(f"{name}: is no STL file: {size} bytes, under the 84 of a binary header, and no ASCII 'solid'")
     if more < 0:
         room = (size - HEADER_BYTES) // FACET_BYTES
         raise InputError(
@@ -228,9 +226,7 @@ def _ascii(data: bytes, name: str) -> NDArray[np.float32]:
     return values.astype(np.float32).reshape(-1, 3, 3)
 
 
-def _refuse_ascii(
-    text: NDArray[np.uint8], name: str, status: int, facets: int, at: int, step: int
-) -> NoReturn:
+def _refuse_ascii(text: NDArray[np.uint8], name: str, status: int, facets: int, at: int, step: int) -> NoReturn:
     if status == _BAD_NUMBER:
         _refuse_number(text, name, at, "is not a finite decimal number")
     expected = f"{_WORDS[step].decode()!r}" if _WORDS[step] else "a number"
@@ -247,9 +243,7 @@ def _refuse_ascii(
 
 def _refuse_number(text: NDArray[np.uint8], name: str, at: int, why: str) -> NoReturn:
     token = _token(text, at)
-    raise InputError(
-        f"{name}: line {_line(text, at)}: vertex coordinate {token!r} {why}{decimal_comma(token)}"
-    )
+    raise InputError(f"{name}: line {_line(text, at)}: vertex coordinate {token!r} {why}{decimal_comma(token)}")
 
 
 def _token(text: NDArray[np.uint8], at: int) -> str:

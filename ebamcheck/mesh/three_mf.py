@@ -360,6 +360,8 @@ def _why(done: subprocess.CompletedProcess[bytes], seconds: int) -> str:
     if done.returncode == -signal.SIGXCPU:
         return f"lib3mf takes more than {seconds} s of processor time for it"
     if done.returncode < 0:
-        return f"lib3mf ended with {signal.Signals(-done.returncode).name}: the file is damaged, or needs too much memory"
+        return (
+            f"lib3mf ended with {signal.Signals(-done.returncode).name}: the file is damaged, or needs too much memory"
+        )
     last = done.stderr.decode(errors="replace").strip().splitlines()
     return f"lib3mf cannot be used: {last[-1][:160] if last else f'exit code {done.returncode}'}"

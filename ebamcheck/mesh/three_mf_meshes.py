@@ -139,9 +139,7 @@ class _Meshes:
         if (number := int(body.GetType())) != MODEL:
             return KINDS[number]
         if body.HasSlices(False) and body.GetSlicesMeshResolution() == lib3mf.SlicesMeshResolution.Lowres:
-            raise Refused(
-                f"{_called(body)} is given by slices, and its mesh is a rough one: export it as a mesh"
-            )
+            raise Refused(f"{_called(body)} is given by slices, and its mesh is a rough one: export it as a mesh")
         return ""
 
     def pass_over(self, whole: Any) -> None:
@@ -161,15 +159,11 @@ class _Meshes:
         corners = self._known[number]
         self._facets += len(corners)
         if self._facets > MOST_FACETS:
-            raise Refused(
-                f"its build places more than {MOST_FACETS} facets: build fewer copies, or a coarser mesh"
-            )
+            raise Refused(f"its build places more than {MOST_FACETS} facets: build fewer copies, or a coarser mesh")
         turn, scale = matrix[:3, :3], float(np.abs(matrix[:3, :3]).max(initial=0.0))
         size = float(np.linalg.det(turn))
         if not np.isfinite(matrix).all() or abs(size) <= 1e-9 * scale**3 or scale == 0.0:
-            raise Refused(
-                f"the transform of {_called(body)} is no placing: {matrix[:, :3].round(6).tolist()}"
-            )
+            raise Refused(f"the transform of {_called(body)} is no placing: {matrix[:, :3].round(6).tolist()}")
         if len(corners) and np.abs(matrix[3, :3]).max() > FARTHEST * scale * np.abs(corners).max():
             raise Refused(
                 f"the transform of {_called(body)} moves it so far that its coordinates are lost: {matrix[3, :3].tolist()}"
@@ -208,9 +202,7 @@ def _remarks(reader: Any) -> list[str]:
             raise Refused(f"{REFUSED[code]}: export it anew")
         if code not in HARMLESS:
             told[words] += 1
-    return [
-        f"lib3mf says: {words.rstrip('.')}" + (f" ({n} times)" if n > 1 else "") for words, n in told.items()
-    ]
+    return [f"lib3mf says: {words.rstrip('.')}" + (f" ({n} times)" if n > 1 else "") for words, n in told.items()]
 
 
 def _parts(whole: Any, turn: Floats, wanted: Callable[[Any, Any], bool]) -> Iterator[tuple[Any, Floats]]:

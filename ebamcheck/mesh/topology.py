@@ -316,9 +316,7 @@ def _hash(x: np.uint64, y: np.uint64, z: np.uint64) -> np.uint64:
 
 
 @kernel
-def _choose(
-    corners: Corners, keys: Keys, share: NDArray[np.uint16], shares: int, start: int, stop: int
-) -> Ints:
+def _choose(corners: Corners, keys: Keys, share: NDArray[np.uint16], shares: int, start: int, stop: int) -> Ints:
     """Write the share of each of the rows ``[start, stop)``; returns how many fell to each share."""
     sizes = np.zeros(shares, np.int64)
     last = np.uint64(shares - 1)

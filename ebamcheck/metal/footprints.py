@@ -96,9 +96,7 @@ def gathered(
     return starts, cell[:used].copy(), length[:used].copy()
 
 
-def pooled(
-    places: Floats, area_mm2: Floats, radius: float, shape: tuple[int, ...], cell_mm2: float
-) -> Floats:
+def pooled(places: Floats, area_mm2: Floats, radius: float, shape: tuple[int, ...], cell_mm2: float) -> Floats:
     """Height of the metal in each cell, over that of the layer: each place (n, 2), in cells, shares its metal (n,) between those
     within a radius.
 
@@ -147,9 +145,7 @@ def balanced_widths(
     # Cells that count less, or that pools only touch, miss some of a layer: all beads lay it together, but for those at a limit,
     # whose places ask for less, or for more, than they get.
     free = (width > limits_mm[0]) & (width < limits_mm[1])
-    laid, by_free = (
-        found.laid(some, share.size, cell_mm2).sum() for some in (width, np.where(free, width, 0.0))
-    )
+    laid, by_free = (found.laid(some, share.size, cell_mm2).sum() for some in (width, np.where(free, width, 0.0)))
     if by_free <= 0.0:
         return width
     # Walls a little wider than a bead would get under three quarters of their metal.

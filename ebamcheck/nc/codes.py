@@ -174,9 +174,7 @@ class Codes:
                 return Action(self._meaning[key], last.placeholder if valued else "", number, text), len(key)
         return None
 
-    def _derive(
-        self, templates: Mapping[str, Sequence[str]], names: Sequence[str], values: Sequence[str]
-    ) -> None:
+    def _derive(self, templates: Mapping[str, Sequence[str]], names: Sequence[str], values: Sequence[str]) -> None:
         """Take codes that carry a placeholder to mean it, and the switches where both of a pair are the profile's own."""
         for name in names:
             for block in templates[name]:

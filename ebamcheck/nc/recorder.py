@@ -32,9 +32,7 @@ _KEY = re.compile(r"\s*([^:]+):\s*(.*?)\s*")
 class Recorder:
     """State of the control, and the motions (rows) that it made so far."""
 
-    def __init__(
-        self, folder: Path, dialect: str, axes: tuple[str, ...] = (), scans_in_layers: bool = False
-    ) -> None:
+    def __init__(self, folder: Path, dialect: str, axes: tuple[str, ...] = (), scans_in_layers: bool = False) -> None:
         self._scans_in_layers = scans_in_layers
         self.folder = folder
         self.dialect = dialect

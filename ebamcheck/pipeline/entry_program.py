@@ -59,9 +59,7 @@ def write_entry(files: ProgramFiles, layer: int, z_of: Floats, config: Config) -
     return Entry(layer, begun, check)
 
 
-def checked_again(
-    run: Path, record: Mapping[str, Any], whole: Path, z_of: Floats, config: Config
-) -> list[Check]:
+def checked_again(run: Path, record: Mapping[str, Any], whole: Path, z_of: Floats, config: Config) -> list[Check]:
     """Check the entry program of a run again, whose status is that of the whole program; nothing for a run without one."""
     entry = record.get(ENTRY)
     if entry is None:
@@ -87,9 +85,7 @@ def _status(validated: bool) -> str:
     return "validated" if validated else "not validated"
 
 
-def _checked(
-    whole: NCProgram, main: Path, layer: int, z_of: Floats, config: Config, validated: bool
-) -> Check:
+def _checked(whole: NCProgram, main: Path, layer: int, z_of: Floats, config: Config, validated: bool) -> Check:
     if not 1 <= layer <= len(z_of):
         raise SettingsError(f"--from-layer {layer}: the part has layers 1 to {len(z_of)}")
     entry = read_program(main, config)
@@ -157,14 +153,10 @@ def check_waits(config: Config) -> None:
     """Refuse a control for which no main program that waits is written."""
     name = config.machine.control
     if not control(name).waiting:
-        raise SettingsError(
-            f"--live: for machine.control {name!r} there is no main program that waits between layers"
-        )
+        raise SettingsError(f"--live: for machine.control {name!r} there is no main program that waits between layers")
 
 
-def write_live(
-    run: Path, config: Config, top_mm: float, validated: bool, header: Mapping[str, str]
-) -> dict[str, Any]:
+def write_live(run: Path, config: Config, top_mm: float, validated: bool, header: Mapping[str, str]) -> dict[str, Any]:
     """Write the waiting main program into a run folder and judge its text; it says validated where the whole program does and the
     check passes."""
     own = control(config.machine.control)

@@ -39,7 +39,9 @@ from ebamcheck.slicers.isolation import Outcome
 LEAST_WIRE = "whether beads are at the least wire of the feeder (process.wire_speed_min_mm_s)"
 LESS_METAL = "where sections taper, let layers have less metal than their sections, by what their rims lack (process.mass_tolerance)"
 OVERHANG = "overhang"  # name of that check
-STEEP_DEG = 45.0  # overhang, from the vertical, over which hardly any process builds without support unless it was tried
+STEEP_DEG = (
+    45.0  # overhang, from the vertical, over which hardly any process builds without support unless it was tried
+)
 MOST_NARROW = 8  # narrow features that are told one by one
 ROUNDING_MM = 1e-6  # sum of the roundings of heights, far under any layer
 

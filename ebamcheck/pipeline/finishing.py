@@ -148,8 +148,7 @@ def manifest(
         },
         "primary": primary,
         "backends": {
-            name: _backend_record(job, outcome, comparison.stacks.get(name))
-            for name, outcome in outcomes.items()
+            name: _backend_record(job, outcome, comparison.stacks.get(name)) for name, outcome in outcomes.items()
         },
         "comparison": _comparison_record(comparison, job.config),
         **({PLATE: list(plate)} if plate else {}),
@@ -171,8 +170,7 @@ def _timings(job: Job, outcomes: Mapping[str, Outcome]) -> dict[str, Any]:
         "part_path": str(Path(job.part.source).resolve()),
         "stages_s": job.timings,
         "backends": {
-            name: {figure: getattr(outcome, figure) for figure in figures}
-            for name, outcome in outcomes.items()
+            name: {figure: getattr(outcome, figure) for figure in figures} for name, outcome in outcomes.items()
         },
     }
 
@@ -189,9 +187,7 @@ def _comparison_record(comparison: Comparison, config: Config) -> dict[str, Any]
         "evidence": evidence_records(comparison),
         "no_evidence": dict(comparison.without_weight),
         # With the number of the layer, from 1, and its height in the program
-        "findings": [
-            {**asdict(f), "layer": f.layer + 1, "program_z_mm": z_mm[f.layer]} for f in comparison.findings
-        ],
+        "findings": [{**asdict(f), "layer": f.layer + 1, "program_z_mm": z_mm[f.layer]} for f in comparison.findings],
     }
 
 
@@ -204,9 +200,7 @@ def _program_records(made: ProgramResult, config: Config) -> dict[str, Any]:
         "witness": proof.witness,
         "totals": {name: sums["program.totals"][name] for name in TOTALS},
         "validated": files.validated,
-        "files": [
-            {"name": name, "sha256": files.sha256[name], "blocks": files.blocks[name]} for name in files.names
-        ],
+        "files": [{"name": name, "sha256": files.sha256[name], "blocks": files.blocks[name]} for name in files.names],
     }
     others = {ENTRY: made.entry and made.entry.record(), LIVE: made.live}
     return {

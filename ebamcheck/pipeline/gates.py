@@ -127,9 +127,7 @@ def agreement_gate(
     return Check.gate("agreement", passed, float(bad + skipped), 0.0, NO_AGREEMENT, text)
 
 
-def disagreement_in_words(
-    f: Disagreement, comparison: Comparison, first_layer_mm: float, base_mm: float = 0.0
-) -> str:
+def disagreement_in_words(f: Disagreement, comparison: Comparison, first_layer_mm: float, base_mm: float = 0.0) -> str:
     """A disagreement: who, where in part and program, by how much, why, and what to do."""
     heights = comparison.layers["height_mm"].to_numpy(np.float64)
     z_mm = float(deposition_heights(heights, first_layer_mm, base_mm)[f.layer])

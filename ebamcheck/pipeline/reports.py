@@ -111,9 +111,7 @@ def reports_again(run: RunFolder) -> dict[str, bytes]:
                 raise
             except Exception as error:  # A record that was tampered with may hold anything.
                 why = f"{type(error).__name__}: {error}"
-                raise InputError(
-                    f"{run.path / MANIFEST}: report {name!r} cannot be made from it: {why}"
-                ) from None
+                raise InputError(f"{run.path / MANIFEST}: report {name!r} cannot be made from it: {why}") from None
             found |= {file: (bare.path / file).read_bytes() for file in written}
     return found
 

@@ -93,9 +93,7 @@ def power_by_wire(
     return power_of
 
 
-def contour_curves(
-    layers: Layers, contours: Sequence[BaseGeometry], config: Config, first_layer: int = 0
-) -> Curves:
+def contour_curves(layers: Layers, contours: Sequence[BaseGeometry], config: Config, first_layer: int = 0) -> Curves:
     """Curves along the centre lines (L,) of the contour beads of layers, as they are driven; the lowest is `first_layer` of the
     build."""
     labels = {name: getattr(layers, name) for name in ("part", "direction", "backend", "settings")}
@@ -160,9 +158,7 @@ def written(laid: LaidOut, part: Part, config: Config, folder: Path) -> ProgramF
     return files
 
 
-def judged_program(
-    verdict: FitVerdict, checks: Iterable[Check], metrics: pd.DataFrame, config: Config
-) -> list[Check]:
+def judged_program(verdict: FitVerdict, checks: Iterable[Check], metrics: pd.DataFrame, config: Config) -> list[Check]:
     """Gates of the fit, the plan's coverage, and the checks of a program."""
     made = list(checks)
     return [

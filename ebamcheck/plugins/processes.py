@@ -15,12 +15,12 @@ from typing import Any
 
 MARK = "EBAMCHECK_PROCESS"  # variable of the environment that a process and all its descendants carry, those that left its group, too
 POLL_S = 0.05  # how often time and memory are looked at
-LARGEST_SAID_BYTES = 64_000_000  # what a process may write to its standard output and error before it is ended: a flood fills the disk
+LARGEST_SAID_BYTES = (
+    64_000_000  # what a process may write to its standard output and error before it is ended: a flood fills the disk
+)
 
 
-def started(
-    arguments: Sequence[str], folder: Path, said: Path, **streams: Any
-) -> tuple[subprocess.Popen[bytes], str]:
+def started(arguments: Sequence[str], folder: Path, said: Path, **streams: Any) -> tuple[subprocess.Popen[bytes], str]:
     """Start a Python module (last argument: our id) in a session of its own, with its words in `said`; and its mark."""
     mark = os.urandom(16).hex()
     with said.open("wb") as told:

@@ -88,9 +88,7 @@ def plugin(group: str, name: str) -> Any:
     found = points(group)
     if name not in found:
         meant = did_you_mean(name, found)
-        raise SettingsError(
-            f"unknown name {name!r} in {group}{meant}: installed are {', '.join(found) or 'none'}"
-        )
+        raise SettingsError(f"unknown name {name!r} in {group}{meant}: installed are {', '.join(found) or 'none'}")
     try:
         return load(found[name])
     except SettingsError as error:

@@ -53,7 +53,9 @@ def code_stamp(point: EntryPoint) -> str:
 
 
 TIME_VARIABLE = "EBAMCHECK_PLUGIN_TIME_S"  # takes the place of :data:`TRIAL_TIME_S`
-TRIAL_TIME_S = 60.0  # time to import a plugin and to ask it what it is: a large one that has never been imported takes 20 s
+TRIAL_TIME_S = (
+    60.0  # time to import a plugin and to ask it what it is: a large one that has never been imported takes 20 s
+)
 TRIAL_MEMORY_MB = 4096.0  # resident memory of a plugin that does no work yet
 FAILURE_KEPT_S = 600.0  # a failure is believed for so long where the plugin's code stays the same: what it lacked may be installed since
 CACHE_FORMAT = 2

@@ -141,7 +141,9 @@ def _wire(part: Part, spool_kg: float, config: Config) -> Check:
     text = f"the part weighs {part_kg:.4g} kg, the spool holds {spool_kg:g} kg"
     if part_kg <= spool_kg or config.machine.optional_stop:
         return Check.preflight(SPOOL, "pass", text, part_kg, spool_kg, "kg")
-    remedy = "begin with a fuller spool (machine.spool_kg), or stop before layers to put on another (machine.optional_stop)"
+    remedy = (
+        "begin with a fuller spool (machine.spool_kg), or stop before layers to put on another (machine.optional_stop)"
+    )
     return Check.preflight(SPOOL, "warning", text, part_kg, spool_kg, "kg", remedy)
 
 

@@ -215,7 +215,9 @@ def _temperatures(config: Config) -> Iterator[Check]:
 
 # -- the unit of the file --------------------------------------------------------------------------
 
-FEW_BEADS = 3.0  # a part of fewer beads than this in its greatest extent is no part of this process, or its unit is another
+FEW_BEADS = (
+    3.0  # a part of fewer beads than this in its greatest extent is no part of this process, or its unit is another
+)
 INCH_MM = UNITS_MM["in"]
 INCH_PARTS = 16  # extents in drawings in inches are whole sixteenths
 ROUND_MM = 0.5  # extents in mm are mostly whole halves; of sixteenths of an inch hardly one is
@@ -294,11 +296,11 @@ def _in_other_units(found: Inspection, config: Config) -> str:
 
 def _beyond_travel(found: Inspection, config: Config) -> Iterator[Check]:
     machine = config.machine
-    for axis, extent, low, high in zip(
-        "XYZ", found.size_mm, machine.travel_min_mm, machine.travel_max_mm, strict=True
-    ):
+    for axis, extent, low, high in zip("XYZ", found.size_mm, machine.travel_min_mm, machine.travel_max_mm, strict=True):
         if extent > high - low:
-            text = f"the part is {extent:.6g} mm along {axis}, read as {found.units}; the axis travels {high - low:g} mm"
+            text = (
+                f"the part is {extent:.6g} mm along {axis}, read as {found.units}; the axis travels {high - low:g} mm"
+            )
             measured = f"machine.travel_max_mm {axis}", extent, high - low, "mm"
             remedy = "check the unit of the file (--units), or turn the part"
             yield Check.finding("warning", "part-beyond-travel", text, *measured, remedy)

@@ -188,9 +188,7 @@ def wanted_slabs(path: Path, config: Config) -> int:
     return min(math.ceil(facets / facets_a_slab), MOST_SLABS) if facets_a_slab >= 1.0 else 1
 
 
-def slab_workload(
-    facets: int, most_facets: int, layers: int, points: int, slabs: int, config: Config
-) -> Workload:
+def slab_workload(facets: int, most_facets: int, layers: int, points: int, slabs: int, config: Config) -> Workload:
     """Estimate what a check in slabs makes and takes, of a file and its largest slab of so many facets, and points of one exact
     contour of all layers."""
     work = _of_slicing(layers, points, most_facets, config, slabs)

@@ -82,9 +82,7 @@ def certificate_checks(
         _sealed(path, found),
         hash_check("part unchanged", part_hash(part), found["part"]["sha256"], part.name),
         hash_check("settings unchanged", sha256_of_json(settings), found["settings_sha256"], "settings"),
-        hash_check(
-            "profile unchanged", of_run.profile_sha256(plain(settings)), found["profile_sha256"], "settings"
-        ),
+        hash_check("profile unchanged", of_run.profile_sha256(plain(settings)), found["profile_sha256"], "settings"),
     ]
     programs = []
     for file in found["programs"]:

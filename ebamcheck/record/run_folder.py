@@ -214,9 +214,7 @@ def _locked(path: Path, target: Path) -> int:
     except (BlockingIOError, FileNotFoundError):
         pass
     os.close(descriptor)
-    raise SettingsError(
-        f"{target}: another run to this place is under way: wait for it, or give another with -o"
-    )
+    raise SettingsError(f"{target}: another run to this place is under way: wait for it, or give another with -o")
 
 
 def _clear(folder: Path, keep_layers: bool) -> None:
@@ -246,7 +244,9 @@ def _exchange(new: Path, old: Path) -> None:
     os.replace(aside, new)
 
 
-TIMINGS = "timings.json"  # times and dates of a run, which are all that differs from one run of the same input to the next
+TIMINGS = (
+    "timings.json"  # times and dates of a run, which are all that differs from one run of the same input to the next
+)
 _DATE = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d")
 
 

@@ -58,9 +58,7 @@ def make_key(path: str | Path, password: str = "") -> tuple[Path, Path]:
     private_path, public_path = (stem.with_name(stem.name + end) for end in (PRIVATE_SUFFIX, PUBLIC_SUFFIX))
     for file in (private_path, public_path):
         if file.exists():
-            raise SettingsError(
-                f"{file}: is there already, and a key that is overwritten is lost: give another name"
-            )
+            raise SettingsError(f"{file}: is there already, and a key that is overwritten is lost: give another name")
     key, pem = Ed25519PrivateKey.generate(), serialization.Encoding.PEM
     encryption: serialization.KeySerializationEncryption = serialization.NoEncryption()
     if password:
@@ -129,9 +127,7 @@ def asked_password(path: Path) -> str:
 # -- signing -----------------------------------------------------------------------------------------
 
 
-def sign(
-    certificate: Path, key: Ed25519PrivateKey, name: str, role: str = "approver", date: str = ""
-) -> Path:
+def sign(certificate: Path, key: Ed25519PrivateKey, name: str, role: str = "approver", date: str = "") -> Path:
     """Sign a certificate's bytes; returns the file of the signature, which takes the place of one by the same key."""
     public = _raw(key.public_key())
     said = {

@@ -93,9 +93,7 @@ def _described(schema: dict[str, Any], kind: type[BaseModel]) -> None:
 class Section(BaseModel):
     """Base of every section: unknown keys are refused, values do not change, defaults are checked."""
 
-    model_config = ConfigDict(
-        extra="forbid", frozen=True, validate_default=True, json_schema_extra=_described
-    )
+    model_config = ConfigDict(extra="forbid", frozen=True, validate_default=True, json_schema_extra=_described)
 
 
 # Other names of each unit

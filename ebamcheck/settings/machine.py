@@ -202,9 +202,7 @@ class MachineSettings(Section):
         low, high = self.base_plate_min_mm, self.base_plate_max_mm
         crossed = low and high and any(a >= b for a, b in zip(low, high, strict=True))
         if (low is None) != (high is None) or crossed:
-            raise ValueError(
-                "give base_plate_min_mm and, over it on both axes, base_plate_max_mm; or neither"
-            )
+            raise ValueError("give base_plate_min_mm and, over it on both axes, base_plate_max_mm; or neither")
         if self.safe_height_mm < self.clearance_mm:
             raise ValueError("safe_height_mm must be at least clearance_mm: travel would not clear the beads")
         names = [axis.name for axis in self.rotary]
@@ -382,9 +380,7 @@ class OpcuaSettings(Section):
     @classmethod
     def _is_a_url(cls, value: str) -> str:
         if not value.startswith("opc.tcp://") or "@" in value or len(value) <= len("opc.tcp://"):
-            raise ValueError(
-                "give opc.tcp://HOST:PORT, without a user: that is opcua.user, its password in a variable"
-            )
+            raise ValueError("give opc.tcp://HOST:PORT, without a user: that is opcua.user, its password in a variable")
         try:
             port = urlsplit(value).port
         except ValueError:

@@ -183,9 +183,7 @@ class MaterialSettings(Section):
             # The defaults are those of one material: what another one leaves out is not theirs.
             lacking = [f for f in cls.model_fields if f not in {*found, *given, "name", "melt_mixing"}]
             if found and lacking:
-                raise ValueError(
-                    f"the preset {name!r} lacks {', '.join(lacking)}: set them, or complete the preset"
-                )
+                raise ValueError(f"the preset {name!r} lacks {', '.join(lacking)}: set them, or complete the preset")
             return {**found, **given}
         missing = [field for field in cls.model_fields if field not in given]
         if missing:

@@ -231,9 +231,7 @@ class ProcessSettings(Section):
     @property
     def bead_height_mm(self) -> float:
         """Height of one bead from the mass balance, mm."""
-        return bead_height_mm(
-            self.wire_diameter_mm, self.wire_speed_mm_s, self.travel_speed_mm_s, self.bead_width_mm
-        )
+        return bead_height_mm(self.wire_diameter_mm, self.wire_speed_mm_s, self.travel_speed_mm_s, self.bead_width_mm)
 
     @field_validator("power_schedule")
     @classmethod
@@ -250,9 +248,7 @@ class ProcessSettings(Section):
         )
         least_k, limit_k = self.least_entry_temperature_k, self.interpass_limit_k
         if least_k is not None and limit_k is not None and least_k >= limit_k:
-            raise ValueError(
-                f"least_entry_temperature_k {least_k:g} is not under interpass_limit_k {limit_k:g}"
-            )
+            raise ValueError(f"least_entry_temperature_k {least_k:g} is not under interpass_limit_k {limit_k:g}")
         if self.current_ma > self.current_max_ma:
             raise ValueError(f"current_ma {self.current_ma} is over current_max_ma {self.current_max_ma}")
         return self

@@ -31,9 +31,7 @@ class Case:
     details: str = ""
 
 
-def junit(
-    name: str, suites: Mapping[str, Sequence[Case]], properties: Mapping[str, str] | None = None
-) -> JUnitXml:
+def junit(name: str, suites: Mapping[str, Sequence[Case]], properties: Mapping[str, str] | None = None) -> JUnitXml:
     """Build the suites and their cases, with properties that stand in every suite; suites without cases are left out."""
     whole = JUnitXml(name)
     for suite_name, cases in suites.items():

@@ -122,9 +122,7 @@ def slice_to_file(
             else:
                 from ebamcheck.slicers.isolation import slice_all
 
-                outcome = slice_all(
-                    part, increasing, {name: chosen}, folder, limits, borders=borders, pool=pool
-                )[name]
+                outcome = slice_all(part, increasing, {name: chosen}, folder, limits, borders=borders, pool=pool)[name]
             if path.suffix.lower() == ".parquet" and is_rising(wanted):
                 os.replace(outcome.made(), path)
                 return replace(outcome, file=path)

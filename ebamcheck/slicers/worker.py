@@ -30,7 +30,9 @@ class Order(TypedDict):
     file: str  # where the layers go
     settings: dict[str, Any]
     bounds_only: bool  # tell the bounds and slice nothing
-    keep_blocks: bool  # whether a block that is cut is kept beside the file until that is whole, for a run that is killed
+    keep_blocks: (
+        bool  # whether a block that is cut is kept beside the file until that is whole, for a run that is killed
+    )
 
 
 def write_part(folder: Path, part: Part) -> None:

@@ -134,7 +134,9 @@ def _farthest(row: Floats, points: Floats) -> float:
     return float(np.abs(signed_distances(row[None], points)[:, 0]).max())
 
 
-CUBIC_TERMS = 20  # Coefficients of a cubic surface: from this many vertices on, cubics through them can contradict the quadric
+CUBIC_TERMS = (
+    20  # Coefficients of a cubic surface: from this many vertices on, cubics through them can contradict the quadric
+)
 
 
 def _quadrics(points: Floats, size: float, tolerance_mm: float) -> tuple[int, Floats | None]:

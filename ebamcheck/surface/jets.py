@@ -23,7 +23,9 @@ CUBIC, QUADRIC = (
 TERMS = 10  # Coefficients of a cubic over the plane that need not go through the vertex: its height there, and those of a jet
 MOST_NEIGHBOURS = 48  # Most neighbours used of a vertex; two rings of a regular mesh hold 18
 SPARE = 3  # Neighbours beyond the number of coefficients: with fewer, a jet is merely an interpolation
-LEAST_PIVOT = 1e-5  # Least pivot of the normal equations, scaled to a unit diagonal, for neighbours that determine a jet
+LEAST_PIVOT = (
+    1e-5  # Least pivot of the normal equations, scaled to a unit diagonal, for neighbours that determine a jet
+)
 
 
 class Corners(NamedTuple):
@@ -300,9 +302,7 @@ def predicted(mesh: Corners, areas: Floats, asked: Bools, first: int, last: int,
 
 
 @kernel
-def _sagitta(
-    mesh: Corners, s: int | np.int64, frame: Floats, scales: Floats, A: Floats
-) -> tuple[float, float]:
+def _sagitta(mesh: Corners, s: int | np.int64, frame: Floats, scales: Floats, A: Floats) -> tuple[float, float]:
     """Mean sagitta of the edges of a fan under the curvatures of a cubic, mm: signed, positive where convex; and its magnitude."""
     total = size = 0.0
     for place in range(mesh.starts[s], mesh.starts[s + 1]):

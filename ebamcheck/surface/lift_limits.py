@@ -104,7 +104,9 @@ class _Edges(NamedTuple):
 class Bends(NamedTuple):
     """Verdicts from the bends at both ends of edges."""
 
-    are_scattered: bool  # The mesh is one of scattered points of a smooth surface: its long edges are curved like its short ones
+    are_scattered: (
+        bool  # The mesh is one of scattered points of a smooth surface: its long edges are curved like its short ones
+    )
     are_rough: bool  # The freely curved facets determine no surface: too many edges would bend to both sides, or too few are bent
 
 
@@ -187,7 +189,9 @@ NOISE_SHARE = 0.7
 class FarEnds(NamedTuple):
     """Whether the turns ahead confirm the normals at edges far longer than the chords ahead of them."""
 
-    are_right: bool  # They do, as on meshes of scattered points and of surfaces curved all over; also where such edges are few
+    are_right: (
+        bool  # They do, as on meshes of scattered points and of surfaces curved all over; also where such edges are few
+    )
     are_noise: bool  # They contradict the normals over most of the length of all bent edges, as on no surface
 
 

@@ -51,9 +51,7 @@ def region_normals(part: Part, twin: Index, regions: Regions) -> RegionNormals:
     return RegionNormals(rows, normals, noise, sectors)
 
 
-def _means(
-    vertices: Floats, faces: Index, facet_normals: Floats, seen: Bools, sectors: Index, count: int
-) -> Floats:
+def _means(vertices: Floats, faces: Index, facet_normals: Floats, seen: Bools, sectors: Index, count: int) -> Floats:
     """Mean normals (S, 3) of the facets that are of no plane, weighed by angle; 0 where there are none."""
     corners = vertices[faces]
     p, q = np.roll(corners, -1, axis=1) - corners, np.roll(corners, -2, axis=1) - corners
@@ -133,9 +131,7 @@ def _ruling_along(sharp: Ints, mine: Index, link: Bools, borders: Borders) -> In
     return found
 
 
-def _put_together(
-    regions: Regions, sectors: Index, curved: Floats, rows: Index, strips: Floats, count: int
-) -> Floats:
+def _put_together(regions: Regions, sectors: Index, curved: Floats, rows: Index, strips: Floats, count: int) -> Floats:
     """Normals of all rows: of planes and strips their own, of other facets those of what they touch, or else the jets'."""
     label, kind = regions.groups.label, regions.kind
     sector, row, group = sectors.reshape(-1), rows.reshape(-1), np.repeat(label, 3)

@@ -128,9 +128,7 @@ def surface_of(part: Part, settings: CurveSettings) -> PartSurface:
     return PartSurface(*mesh, *normals, kind, label, facet_normals, sagittas, offsets, exact)
 
 
-def mesh_sagittas(
-    vertices: Floats, faces: Index, twin: Index, normals: Floats, kind: NDArray[np.uint8]
-) -> Sagittas:
+def mesh_sagittas(vertices: Floats, faces: Index, twin: Index, normals: Floats, kind: NDArray[np.uint8]) -> Sagittas:
     """Sagittas across edges that are no crease: of an arc over the lower of the two facets that turns by what they turn."""
     count, heads = len(vertices), np.roll(faces, -1, axis=1)
     edges = vertices[heads] - vertices[faces]

@@ -26,7 +26,9 @@ LIKE = 3.0  # Strips of one tessellation differ by less than this factor in widt
 HALF_TURN = (0.6, 1.6)
 """Range of the turn from a flat side onto the first strip of a rounding, over that strip's share of the next turn."""
 
-MOST_BORDERS = 4096  # A group with more borders is no strip; comparing each border with all others would take quadratic time
+MOST_BORDERS = (
+    4096  # A group with more borders is no strip; comparing each border with all others would take quadratic time
+)
 
 
 class Borders(NamedTuple):
@@ -149,9 +151,7 @@ def _is_tangent(twin: Index, label: Index, borders: Borders, onto_plane: Ints) -
 # -- borders of planar groups -------------------------------------------------------------------------------
 
 
-def _find_borders(
-    vertices: Floats, faces: Index, twin: Index, groups: PlanarGroups, least_cosine: float
-) -> Borders:
+def _find_borders(vertices: Floats, faces: Index, twin: Index, groups: PlanarGroups, least_cosine: float) -> Borders:
     """Measure the borders of groups; removes from `twin` those that are sharp by their angle or run in the same direction."""
     corners, label = faces.reshape(-1), np.repeat(groups.label, 3)
     along = (vertices[np.roll(faces, -1, axis=1)] - vertices[faces]).reshape(-1, 3)

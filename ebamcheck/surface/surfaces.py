@@ -71,9 +71,7 @@ def surfaces(part: Part, settings: CurveSettings) -> list[Surface]:
     surface = surface_of(part, settings)
     label, rows = surface.exact
     named = (label >= 0) & np.append(rows[:, KIND] != FLAT, False)[label]
-    form = np.where(named, label, -1).astype(
-        np.int64
-    )  # exact surface of each facet; -1 for planes and others
+    form = np.where(named, label, -1).astype(np.int64)  # exact surface of each facet; -1 for planes and others
     of_facet = _connected(surface, form)
     order = np.argsort(of_facet, kind="stable")
     groups = np.split(order, np.cumsum(np.bincount(of_facet))[:-1])

@@ -124,9 +124,7 @@ def _ask(ground: Ground, flat: float, step: int, first: int, last: int, found: E
 
 
 @kernel
-def _walk(
-    ground: Ground, h: int, vertex: int, d: Floats, up: Floats, length: float, flat: float, way: Floats
-) -> int:
+def _walk(ground: Ground, h: int, vertex: int, d: Floats, up: Floats, length: float, flat: float, way: Floats) -> int:
     """Go straight ahead from the end of an edge, in the plane of a direction and an upward one, and note the turns; how many.
 
     Where the way does not turn, to rounding, a chord goes on: so a flat side is one chord however it is cut up.

@@ -19,7 +19,9 @@ from ebamcheck.testing.solids import SIMPLE, box, house_rule, joined, mapped, na
 from ebamcheck.testing.subject import NO_LAYER, Figure, Subject, generic_heights, rounding_mm, truth
 
 LOOSEST = 3.0  # a bound more than this many times the worst case that the kit finds is idle
-SHIFT_SHARE = 0.2  # share of the bound by which the centroids of round sections may be off, on the mean of a body's layers
+SHIFT_SHARE = (
+    0.2  # share of the bound by which the centroids of round sections may be off, on the mean of a body's layers
+)
 # The same for one layer alone: by chance a torus's thin ring is 0.37 of a bound off, half a pixel is 0.63 of a raster's, half a row all of it
 LAYER_SHIFT_SHARE = 0.5
 SHIFT_LAYERS = 9  # layers of a body over which chance averages out

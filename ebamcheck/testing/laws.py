@@ -59,9 +59,7 @@ def same_sections(subject: Subject, law: str, part: Part, other: Part, heights: 
     return _alike(subject, law, part, subject.cut(other, heights), subject.cut(part, heights), limit)
 
 
-def _alike(
-    subject: Subject, law: str, part: Part, found: Layers, wanted: Layers, limit_mm: float
-) -> list[Figure]:
+def _alike(subject: Subject, law: str, part: Part, found: Layers, wanted: Layers, limit_mm: float) -> list[Figure]:
     exact = subject.slicer.exact
     seen = differences(wanted, found, limit_mm, reference_exact=exact, found_exact=exact)
     return seen.depth_figures(law, part.name, limit_mm) + seen.topology_figures(law, part.name)
@@ -203,9 +201,7 @@ BESIDE = "Two parts beside each other have the sections of both."
 PARITY = "Rings come and go with the handles and pieces of the surface below the plane."
 LAWS = (
     _maps("translation", "Moving the part moves its sections.", 2, np.eye(3), shift=(3.1415, -7.77, 11.3)),
-    _maps(
-        "rotation", "Turning the part about z turns its sections, by any angle.", 1, turn(45.0), turn(163.7)
-    ),
+    _maps("rotation", "Turning the part about z turns its sections, by any angle.", 1, turn(45.0), turn(163.7)),
     _maps("mirror", "Mirroring the part mirrors its sections.", 2, np.diag([-1.0, 1.0, 1.0])),
     _maps("scale", LARGER, 1, 0.25 * np.eye(3), 2.0 * np.eye(3)),
     _maps("upside down", OVER, 2, np.diag([1.0, -1.0, -1.0])),

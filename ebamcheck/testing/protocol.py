@@ -24,7 +24,9 @@ SIGNATURES = {
     "prepare": ("part", "settings"),
 }
 
-EXACT_BOUND = 1e-6  # largest bound of a slicer that calls itself exact, over the part's largest coordinate: it is rounding
+EXACT_BOUND = (
+    1e-6  # largest bound of a slicer that calls itself exact, over the part's largest coordinate: it is rounding
+)
 COLUMNS = ("heights", "points", "ring_starts", "layer_starts", "closed")
 FORM_SOLIDS = ("plate with holes", "tilted plate", "upright torus", "cavity", "comb", "pillars")
 

@@ -18,7 +18,9 @@ from shapely.geometry.base import BaseGeometry
 from ebamcheck.layers.stack import Layers, from_polygons
 from ebamcheck.mesh.part import Part, from_arrays
 
-FRAME_MM = 40.0  # side of the box around every attacking solid: a slicer's bound, which may depend on it, is the same for all
+FRAME_MM = (
+    40.0  # side of the box around every attacking solid: a slicer's bound, which may depend on it, is the same for all
+)
 Matrix = NDArray[np.float64]
 IDENTITY = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
@@ -144,9 +146,7 @@ def named(name: str, part: Part) -> Part:
 
 def _plate() -> BaseGeometry:
     return (
-        shapely.box(0, 0, 26, 17)
-        .difference(regular(16, 4.0, 8.0, 9.0))
-        .difference(shapely.box(15.3, 4.1, 21.7, 7.9))
+        shapely.box(0, 0, 26, 17).difference(regular(16, 4.0, 8.0, 9.0)).difference(shapely.box(15.3, 4.1, 21.7, 7.9))
     )
 
 
@@ -174,12 +174,8 @@ SIMPLE: dict[str, Callable[[], Part]] = {
     "torus": torus,
     "upright torus": lambda: mapped(torus(), turn(90.0, "x") @ turn(7.0, "z")),
     "pyramid": lambda: revolved([(0.0, 0.0), (9.0, 0.0), (0.0, 11.0)], 5, closed=False),
-    "two bodies": lambda: joined(
-        box((0, 0, 0), (6, 5, 4)), mapped(sphere(4.0, 8, 12), shift=(14.0, 6.0, 3.0))
-    ),
-    "cavity": lambda: joined(
-        box((0, 0, 0), (16, 13, 10)), mapped(sphere(4.0, 8, 12), shift=(9, 6, 5)).reversed()
-    ),
+    "two bodies": lambda: joined(box((0, 0, 0), (6, 5, 4)), mapped(sphere(4.0, 8, 12), shift=(14.0, 6.0, 3.0))),
+    "cavity": lambda: joined(box((0, 0, 0), (16, 13, 10)), mapped(sphere(4.0, 8, 12), shift=(9, 6, 5)).reversed()),
     "comb": lambda: prism(_comb(), 0.0, 3.0),
     "turned comb": lambda: mapped(prism(_comb(), 0.0, 3.0), turn(31.0)),
     "pillars": lambda: prism(shapely.union_all(_PILLARS), 0.0, 3.0),

@@ -21,7 +21,9 @@ from ebamcheck.mesh.part import Part
 from ebamcheck.plugins.registry import Model
 from ebamcheck.testing.solids import HOUSE_RULE, house_rule, sections, winding_rule
 
-ROUNDING_STEPS = 64.0  # units in the last place of the largest coordinate by which the kit's own maps and sections may be off
+ROUNDING_STEPS = (
+    64.0  # units in the last place of the largest coordinate by which the kit's own maps and sections may be off
+)
 LEVEL_SLOPE = 1e-9  # facets whose normal has less than this share in the plane count as level
 
 
@@ -76,9 +78,7 @@ class Subject:
             self._layers[key] = self._cut(part, planes)
         return self._layers[key]
 
-    def cut_unless_refused(
-        self, check: str, part: Part, heights: ArrayLike, found: list[Figure]
-    ) -> Layers | None:
+    def cut_unless_refused(self, check: str, part: Part, heights: ArrayLike, found: list[Figure]) -> Layers | None:
         """Layers of a part that may be refused, which is then told among the figures `found`: it is no violation."""
         try:
             return self.cut(part, heights)
@@ -209,9 +209,7 @@ def differences(
     table = compare(reference, found, tolerance_mm=limit_mm, exact_a=a, exact_b=b, check_part=False)
     depth = table["depth_mm"].to_numpy(dtype=np.float64)
     rows = table[["height_mm", "depth_x_mm", "depth_y_mm", "depth_mm"]].to_numpy(np.float64).tolist()
-    places = [
-        f"z = {z:.9g} mm" + (f", x = {x:.6g}, y = {y:.6g}" if deep > 0.0 else "") for z, x, y, deep in rows
-    ]
+    places = [f"z = {z:.9g} mm" + (f", x = {x:.6g}, y = {y:.6g}" if deep > 0.0 else "") for z, x, y, deep in rows]
     return Differences(depth, table["topology_agrees"].to_numpy(dtype=np.bool_), places)
 
 

@@ -77,9 +77,7 @@ class ControlSuite:
         return ControlSubject(cls.control, cls.machine)
 
     @pytest.mark.parametrize("check", CONTROL_CHECKS, ids=lambda check: check.__name__.replace("_", "-"))
-    def test_conformance(
-        self, subject: ControlSubject, check: Callable[[ControlSubject], list[Figure]]
-    ) -> None:
+    def test_conformance(self, subject: ControlSubject, check: Callable[[ControlSubject], list[Figure]]) -> None:
         """Fail with every figure that is over its limit."""
         if not subject.control.is_read and check is not CONTROL_CHECKS[0]:
             pytest.skip(f"programs of {subject} are not read back")

@@ -85,9 +85,7 @@ def work_again(run: RunFolder, manifest: Mapping[str, Any], config: Config, part
     agrees = comparison.passed
     tables: dict[str, follow.Table] = {**follow.tables_of_comparison(comparison)}
     why_not: dict[str, str] = {}
-    if {name for name, found in manifest["backends"].items() if found["status"] == "done"} != set(
-        comparison.stacks
-    ):
+    if {name for name, found in manifest["backends"].items() if found["status"] == "done"} != set(comparison.stacks):
         why_not = dict.fromkeys(tables, "not all slicers of the run are the ones that are here")
         tables = {}
     exchanged = exchanged_layers(run, manifest, fresh, witness)
@@ -134,9 +132,7 @@ def work_again(run: RunFolder, manifest: Mapping[str, Any], config: Config, part
     return Again(witness, tuple(made), agrees, tuple(told), tuple(checks), exchanged, of_run, figures)
 
 
-def exchanged_layers(
-    run: RunFolder, manifest: Mapping[str, Any], fresh: Layers, witness: str
-) -> tuple[str, ...]:
+def exchanged_layers(run: RunFolder, manifest: Mapping[str, Any], fresh: Layers, witness: str) -> tuple[str, ...]:
     """Slicers whose recorded layers name another, and the witness where its layers are not those that it cuts now.
 
     On plane parts exact slicers agree to the last digits, so that distances show no exchange.

@@ -137,9 +137,7 @@ def _verify(
     recorded = sha256_of_json(manifest["settings"])
     checks = [hash_check("settings unchanged", recorded, manifest["settings_sha256"], MANIFEST)]
     checks += papers.run_certificate_checks(run, manifest, trusted)
-    checks += papers.told_once(
-        [papers.file_check(run.path / name, name, h) for name, h in manifest["files"].items()]
-    )
+    checks += papers.told_once([papers.file_check(run.path / name, name, h) for name, h in manifest["files"].items()])
     # Checked by other settings or against other layers, the program would say nothing about this run.
     untouched = all(check.passed for check in checks if check.name != "signature")
     config = validated(manifest["settings"], f"{MANIFEST}: settings")

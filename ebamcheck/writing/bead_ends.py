@@ -45,9 +45,7 @@ def written_form(machine: MachineSettings) -> Form:
     return forms.get(machine.curve_form) or control(machine.control).splines
 
 
-def with_bead_ends(
-    path: Toolpath, process: ProcessSettings, decimals: int, below: Floats = NO_SEAMS
-) -> Toolpath:
+def with_bead_ends(path: Toolpath, process: ProcessSettings, decimals: int, below: Floats = NO_SEAMS) -> Toolpath:
     """Start, overlap and ramp the beads of a path as the process asks; `below` (n, 2) are the seams under the lowest layer.
 
     A closed contour starts ``process.seam_shift_mm`` along itself from the seam below, and runs on over its start for
@@ -95,9 +93,7 @@ def _stretches(tracks: Tracks, seams: Floats, process: ProcessSettings) -> Stret
     return Stretches(track[kept], (first + low)[kept], (first + high)[kept], lap[kept], power[kept])
 
 
-def ramp_power(
-    from_start: Floats, to_end: Floats, up_mm: Floats, down_mm: Floats, process: ProcessSettings
-) -> Floats:
+def ramp_power(from_start: Floats, to_end: Floats, up_mm: Floats, down_mm: Floats, process: ProcessSettings) -> Floats:
     """Share of the full power at places on beads, (n,), by mm from its start and to its end: the middle of each step of its
     ramps."""
     power = np.ones(from_start.size)

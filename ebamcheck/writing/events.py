@@ -136,9 +136,7 @@ def event_totals(events: pd.DataFrame, layers: int, config: Config) -> pd.DataFr
         values = events[column].to_numpy(np.float64) if isinstance(column, str) else column
         return np.bincount(layer[which], values[which], minlength=layers).astype(np.float64)
 
-    lengths = {
-        f"{name}_mm": total("length_mm", role == name) for name in (CONTOUR, HATCH, TURN, WALL, FILLING)
-    }
+    lengths = {f"{name}_mm": total("length_mm", role == name) for name in (CONTOUR, HATCH, TURN, WALL, FILLING)}
     wire_mm = total(events["time_s"].to_numpy() * events["wire_mm_s"].to_numpy(), metal)
     kg_mm = wire_area_mm2(config) * 1e-9 * config.material.density_kg_m3
     columns = {

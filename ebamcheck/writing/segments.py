@@ -318,9 +318,7 @@ def segment_lengths(kind: NDArray[np.uint8], points: Floats) -> Floats:
     return result
 
 
-def segment_parts(
-    kind: NDArray[np.uint8], points: Floats, lengths: Floats, low_mm: Floats, high_mm: Floats
-) -> Floats:
+def segment_parts(kind: NDArray[np.uint8], points: Floats, lengths: Floats, low_mm: Floats, high_mm: Floats) -> Floats:
     """Points (n, 4, 2) of the part of each segment from one length along it to another; an end of the segment stays bit for bit."""
     result = np.empty_like(points)
     for which, part in ((STRAIGHT, _line_parts), (CIRCULAR, _arc_parts), (CUBIC, _cubic_parts)):

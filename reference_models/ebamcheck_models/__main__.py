@@ -12,8 +12,6 @@ from collections.abc import Sequence
 from ebamcheck.errors import EbamcheckError
 from ebamcheck_models import MODELS, write_stl
 
-DEFAULT_TOLERANCE_MM = 0.05
-
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; returns its exit code."""
@@ -24,13 +22,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("name", nargs="?", choices=sorted(MODELS), metavar="NAME", help=", ".join(MODELS))
     parser.add_argument("--list", action="store_true", help="print names and summaries of all models")
-    parser.add_argument(
-        "--tolerance",
-        type=float,
-        default=DEFAULT_TOLERANCE_MM,
-        metavar="MM",
-        help="greatest distance of the mesh from the surface (default %(default)s)",
-    )
+    distance = "greatest distance of the mesh from the surface (default %(default)s)"
+    parser.add_argument("--tolerance", type=float, default=0.05, metavar="MM", help=distance)
     parser.add_argument("-o", "--output", metavar="FILE.stl", help="default NAME.stl")
     given = parser.parse_args(arguments)
     if given.list:

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ebamcheck_models.outlines import Array, Outline, Piece, line, loft, rounded_rectangle
+from ebamcheck_models.outlines import Array, Outline, Piece, closed, line, loft, rounded_rectangle
 from ebamcheck_models.walls import Face, Wall, WalledModel
 
 ROOT_FOOT_MM, ROOT_TOP_MM = 14.0, 30.0
@@ -99,17 +99,13 @@ def _airfoil() -> Outline:
 def _channel(station: float, half_length_mm: float, half_width_mm: float) -> Outline:
     """Ellipse on the camber line, as four quarters."""
 
-    def quarter(start: float) -> Piece:
-        def piece(s: Array, z: Array) -> tuple[Array, Array]:
-            angle = 0.5 * np.pi * (start + s)
-            taper = _chord(z) / CHORD_MM
-            along = _chord(z) * (station - 0.5) + taper * half_length_mm * np.cos(angle)
-            across = _thickness(z) * (_camber(np.array(station)) + half_width_mm * np.sin(angle))
-            return _placed(along, across, z)
+    def ellipse(s: Array, z: Array) -> tuple[Array, Array]:
+        angle, taper = 2.0 * np.pi * s, _chord(z) / CHORD_MM
+        along = _chord(z) * (station - 0.5) + taper * half_length_mm * np.cos(angle)
+        across = _thickness(z) * (_camber(np.array(station)) + half_width_mm * np.sin(angle))
+        return _placed(along, across, z)
 
-        return piece
-
-    return Outline(tuple(quarter(k) for k in (0.0, 1.0, 2.0, 3.0)), least=2)
+    return closed(ellipse, 4, 2)
 
 
 def _root() -> Outline:

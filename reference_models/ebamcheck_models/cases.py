@@ -10,15 +10,12 @@ import math
 import numpy as np
 
 from ebamcheck_models.model import single
-from ebamcheck_models.narrow import PITCH_MM
 from ebamcheck_models.outlines import polygon
-from ebamcheck_models.polyhedra import Polyhedron, block, box_corners, cells
+from ebamcheck_models.polyhedra import PITCH_MM, Polyhedron, block, box_corners, cells
 from ebamcheck_models.prisms import Prism, prism
 
 
-def _two_by_two(
-    name: str, summary: str, filled: list[list[int]], euler_number: int, shells: int
-) -> Polyhedron:
+def _two_by_two(name: str, summary: str, filled: list[list[int]], euler_number: int, shells: int) -> Polyhedron:
     """Cubes of 10 mm on the squares of a board, as tall as wide."""
     side = 10.0 * np.arange(len(filled) + 1)
     pattern = np.array(filled, dtype=bool)[:, :, None]
@@ -143,13 +140,9 @@ CURA_1473 = block(
 )
 PRUSA_1260 = _window()
 PRUSA_4245 = _gap_plug()
-PRUSA_520 = _gap_slit(
-    "case-prusa-520", "block with a slit of 0.042 mm; PrusaSlicer #520: the slit is filled", 0.042
-)
+PRUSA_520 = _gap_slit("case-prusa-520", "block with a slit of 0.042 mm; PrusaSlicer #520: the slit is filled", 0.042)
 PRUSA_9028 = _gap_slit(
-    "case-prusa-9028",
-    "block with a slit of 0.1 mm; PrusaSlicer #9028: new perimeters replace the slit",
-    0.1,
+    "case-prusa-9028", "block with a slit of 0.1 mm; PrusaSlicer #9028: new perimeters replace the slit", 0.1
 )
 PYSLM_21 = _lattice()
 TRIMESH_1944 = _spiral()
@@ -176,17 +169,17 @@ TOUCHING_BOARD = _two_by_two(
 )
 
 CASES: tuple[Polyhedron | Prism, ...] = (
-    CURA_1473,
-    PRUSA_1260,
-    PRUSA_4245,
-    PRUSA_520,
-    PRUSA_9028,
-    PYSLM_21,
-    TRIMESH_1944,
-    TRIMESH_1766,
-    TRIMESH_2317,
-    TRIMESH_48,
-    TOUCHING_EDGE,
-    TOUCHING_BOARD,
+    *(
+        CURA_1473,
+        PRUSA_1260,
+        PRUSA_4245,
+        PRUSA_520,
+        PRUSA_9028,
+        PYSLM_21,
+        TRIMESH_1944,
+        TRIMESH_1766,
+        TRIMESH_2317,
+    ),
+    *(TRIMESH_48, TOUCHING_EDGE, TOUCHING_BOARD),
 )
 """All named cases, in the order of their names."""

@@ -15,16 +15,8 @@ import numpy as np
 import shapely
 from numpy.typing import ArrayLike
 
-from ebamcheck.mesh.part import Part
-from ebamcheck_models.model import (
-    SECTION_TOLERANCE_MM,
-    Floats,
-    Solid,
-    checked_tolerance,
-    make_part,
-    rotation,
-    single,
-)
+from ebamcheck.mesh.part import Part, from_arrays
+from ebamcheck_models.model import SECTION_TOLERANCE_MM, Floats, Solid, checked_tolerance, rotation, single
 from ebamcheck_models.revolved import chords, circle_points
 from ebamcheck_models.walls import level_facets
 
@@ -39,22 +31,12 @@ FIRST_STEPS, MOST_STEPS = 32, 1 << 20
 
 @dataclass(frozen=True, eq=False)
 class Bar(Solid):
-    """Solid between two discs about one axis; see :class:`ebamcheck_models.TurnableModel`.
-
-    Parameters
-    ----------
-    bottom_mm, top_mm
-        Radii of the lower and the upper disc; 0 for an apex above.
-    height_mm
-        Distance of the discs; the lower one's centre is the origin.
-    turn
-        Rotation from the upright bar.
-    """
+    """Solid between two discs about one axis, the lower one about the origin; see :class:`ebamcheck_models.TurnableModel`."""
 
     name: str
     summary: str
-    bottom_mm: float
-    top_mm: float
+    bottom_mm: float  # radius of the lower disc
+    top_mm: float  # of the upper one; 0 for an apex
     height_mm: float
     turn: Floats = field(default_factory=lambda: np.eye(3))
     euler_number: int = 2
@@ -128,7 +110,7 @@ class Bar(Solid):
             faces.append(np.column_stack([ring, after, columns + after]))
             faces.append(np.column_stack([ring, columns + after, columns + ring]))
             faces.append(level_facets(points, [columns + ring]))
-        return make_part(single(points @ self.turn.T), np.concatenate(faces), self.name)
+        return from_arrays(single(points @ self.turn.T), np.concatenate(faces), self.name)
 
     @property
     def _level(self) -> bool:
@@ -142,10 +124,8 @@ class Bar(Solid):
         return float(self._radius(z / float(self.turn[2, 2])))
 
     def _radius(self, along: Floats | float) -> Floats:
-        result: Floats = np.asarray(
-            self.bottom_mm + (self.top_mm - self.bottom_mm) * np.asarray(along) / self.height_mm
-        )
-        return result
+        taper = (self.top_mm - self.bottom_mm) * np.asarray(along) / self.height_mm
+        return np.asarray(self.bottom_mm + taper, np.float64)
 
     @property
     def _tilt(self) -> tuple[float, float]:

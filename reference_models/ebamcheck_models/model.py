@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ebamcheck.atomic_file import replacing
 from ebamcheck.errors import SettingsError
-from ebamcheck.mesh.part import Part, from_arrays, rotation_to_z, unit_vector
+from ebamcheck.mesh.part import Part, rotation_to_z, unit_vector
+from ebamcheck.mesh.stl import write_triangles
 from ebamcheck.plugins.registry import Model as PublicModel
 
 LEAST_TOLERANCE_MM = 1e-4
@@ -105,11 +108,6 @@ def single(points: Floats) -> Floats:
     return points.astype(np.float32).astype(np.float64)
 
 
-def make_part(vertices: Floats, faces: NDArray[np.int64], name: str) -> Part:
-    """Part from vertices that are rounded already."""
-    return from_arrays(vertices, faces, name=name)
-
-
 def grid_faces(first: int, rows: int, columns: int) -> NDArray[np.int64]:
     """Two facets for each cell of a grid that closes along its rows, (2 (rows - 1) columns, 3).
 
@@ -122,3 +120,30 @@ def grid_faces(first: int, rows: int, columns: int) -> NDArray[np.int64]:
     lower = np.stack([a, b, b + columns], axis=-1)
     upper = np.stack([a, b + columns, a + columns], axis=-1)
     return np.stack([lower, upper], axis=2).reshape(-1, 3).astype(np.int64)
+
+
+def capped_tube(poles: Floats, rings: Floats, columns: int) -> tuple[Floats, NDArray[np.int64]]:
+    """Vertices and facets, looking outward, of level rings (n, 3) from bottom to top, closed by a pole (2, 3) at either end."""
+    points = np.concatenate([poles, rings])
+    ring = np.arange(columns)
+    bottom, top = 2 + ring, len(points) - columns + ring
+    faces = [
+        np.column_stack([np.zeros_like(ring), np.roll(bottom, -1), bottom]),
+        grid_faces(2, len(rings) // columns, columns),
+        np.column_stack([np.ones_like(ring), top, np.roll(top, -1)]),
+    ]
+    return single(points), np.concatenate(faces)
+
+
+def write_stl(part: Part, path: str | Path) -> None:
+    """Write a part as binary STL; the file appears whole or not at all, and equal parts give equal bytes.
+
+    Coordinates become 32-bit floats, which keeps every bit of a tessellated reference model.
+
+    Raises
+    ------
+    SettingsError
+        If the file cannot be written.
+    """
+    with replacing(path) as temporary:
+        write_triangles(part.triangles, temporary, part.name)

@@ -30,18 +30,10 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(GAUSS_POINTS)
 
 @dataclass(frozen=True)
 class Outline:
-    """A closed curve, counter-clockwise seen from above, whose shape depends on height.
+    """A closed curve, counter-clockwise seen from above, whose shape depends on height."""
 
-    Parameters
-    ----------
-    pieces
-        Each ends where the next one starts.
-    least
-        Chords into which each piece is split at least.
-    """
-
-    pieces: tuple[Piece, ...]
-    least: int = 1
+    pieces: tuple[Piece, ...]  # each ends where the next one starts
+    least: int = 1  # chords into which each piece is split at least
 
     def points(self, samples: tuple[Floats, ...], z: float) -> Floats:
         """Points (n, 2) at the given parameters of each piece, without each piece's end."""
@@ -92,6 +84,15 @@ def arc(x: float, y: float, radius_x: float, radius_y: float, start_deg: float, 
     return piece
 
 
+def closed(curve: Piece, pieces: int, least: int) -> Outline:
+    """Outline of a closed curve without corners over parameters 0 .. 1, as equal pieces."""
+
+    def of(number: int) -> Piece:
+        return lambda s, z: curve((number + s) / pieces, z)
+
+    return Outline(tuple(of(number) for number in range(pieces)), least)
+
+
 def circle(x: float, y: float, radius: float) -> Outline:
     """Circle as four quarters, so that its extreme points are vertices of every mesh."""
     quarters = tuple(arc(x, y, radius, radius, a, a + 90.0) for a in (0.0, 90.0, 180.0, 270.0))
@@ -133,17 +134,15 @@ def rounded_polygon(corners: list[tuple[float, float, float]]) -> Outline:
 def rounded_rectangle(half_x: float, half_y: float, radius: float) -> Outline:
     """Rectangle about the origin with rounded corners."""
     a, b = half_x - radius, half_y - radius
-    straight = [
-        line(fixed(half_x, -b), fixed(half_x, b)),
-        line(fixed(a, half_y), fixed(-a, half_y)),
-        line(fixed(-half_x, b), fixed(-half_x, -b)),
-        line(fixed(-a, -half_y), fixed(a, -half_y)),
-    ]
-    corners = [
-        arc(x, y, radius, radius, k * 90.0, k * 90.0 + 90.0)
-        for k, (x, y) in enumerate([(a, b), (-a, b), (-a, -b), (a, -b)])
-    ]
-    return Outline(tuple(p for pair in zip(straight, corners, strict=True) for p in pair))
+    sides = (
+        *((half_x, -b, half_x, b), (a, half_y, -a, half_y)),
+        *((-half_x, b, -half_x, -b), (-a, -half_y, a, -half_y)),
+    )
+    pieces: list[Piece] = []
+    for k, (x0, y0, x1, y1) in enumerate(sides):
+        x, y = ((a, b), (-a, b), (-a, -b), (a, -b))[k]
+        pieces += [line(fixed(x0, y0), fixed(x1, y1)), arc(x, y, radius, radius, k * 90.0, k * 90.0 + 90.0)]
+    return Outline(tuple(pieces))
 
 
 def loft(low: Outline, high: Outline, from_mm: float, to_mm: float) -> Outline:

@@ -17,16 +17,15 @@ import numpy as np
 import shapely
 from numpy.typing import ArrayLike
 
-from ebamcheck.mesh.part import Part
-from ebamcheck_models.model import (
-    SECTION_TOLERANCE_MM,
-    Floats,
-    Solid,
-    make_part,
-    rotation,
-    single,
+from ebamcheck.mesh.part import Part, from_arrays
+from ebamcheck_models.model import SECTION_TOLERANCE_MM, Floats, Solid, rotation, single
+from ebamcheck_models.outlines import (
+    COMPLEX_STEP,
+    Outline,
+    Piece,
+    circle,
+    rounded_polygon,
 )
-from ebamcheck_models.outlines import COMPLEX_STEP, Outline, Piece
 from ebamcheck_models.sampling import outline_samples
 from ebamcheck_models.walls import Face, Wall, WalledModel
 
@@ -57,9 +56,7 @@ class Prism(WalledModel):
         return TurnedPrism(self, rotation(direction))
 
 
-def prism(
-    name: str, summary: str, outline: Outline, height_mm: float, holes: tuple[Outline, ...] = ()
-) -> Prism:
+def prism(name: str, summary: str, outline: Outline, height_mm: float, holes: tuple[Outline, ...] = ()) -> Prism:
     """Upright prism over an outline, with holes from bottom to top."""
     levels = (0.0, height_mm)
     walls = (Wall(outline, levels), *(Wall(hole, levels, hole=True) for hole in holes))
@@ -145,7 +142,7 @@ class TurnedPrism(Solid):
     def tessellate(self, tolerance_mm: float) -> Part:
         """Mesh of the upright prism, turned and rounded to 32-bit floats."""
         part = self.upright.tessellate(tolerance_mm)
-        return make_part(single(part.vertices @ self.turn.T), part.faces.astype(np.int64), self.name)
+        return from_arrays(single(part.vertices @ self.turn.T), part.faces.astype(np.int64), self.name)
 
     @property
     def _slope(self) -> float:
@@ -310,3 +307,34 @@ def _spread_along(outline: Outline, x: float, y: float) -> tuple[float, float]:
     """Least and greatest x * X + y * Y of an outline's points (X, Y)."""
     ends = [u for run in _runs(outline, x, y) for u, _ in run.ends]
     return min(ends), max(ends)
+
+
+LEG_MM = 12.0
+BRACE_X_MM, BRACE_Y_MM = 82.0, 62.0
+"""Where the outer side of the brace would meet the insides of the legs."""
+BRACE_MM = 0.8
+
+
+def _bracket() -> Prism:
+    along, up = BRACE_X_MM - LEG_MM, BRACE_Y_MM - LEG_MM
+    # The inner side of the brace is parallel to the outer one, nearer to the corner by its thickness.
+    nearer = 1.0 - BRACE_MM * math.hypot(along, up) / (along * up)
+    outside = [
+        *((0.0, 0.0, 16.0), (112.0, 0.0, 6.0), (112.0, LEG_MM, 5.0), (BRACE_X_MM, LEG_MM, 6.0)),
+        *((LEG_MM, BRACE_Y_MM, 6.0), (LEG_MM, 90.0, 5.0), (0.0, 90.0, 6.0)),
+    ]
+    inside = [
+        (LEG_MM, LEG_MM, 8.0),
+        (LEG_MM + nearer * along, LEG_MM, 2.0),
+        (LEG_MM, LEG_MM + nearer * up, 2.0),
+    ]
+    return prism(
+        "bracket",
+        "angle bracket of 112 x 90 x 30 mm: fillets, two bolt holes, a brace of 0.8 mm between the legs",
+        rounded_polygon(outside),
+        30.0,
+        (rounded_polygon(inside), circle(100.0, 0.5 * LEG_MM, 3.0), circle(0.5 * LEG_MM, 79.0, 3.0)),
+    )
+
+
+BRACKET = _bracket()

@@ -9,14 +9,14 @@ import numpy as np
 import shapely
 from numpy.typing import ArrayLike
 
-from ebamcheck.mesh.part import Part
+from ebamcheck.mesh.part import Part, from_arrays
 from ebamcheck_models.model import (
     SECTION_TOLERANCE_MM,
     Floats,
     Solid,
+    capped_tube,
     checked_tolerance,
     grid_faces,
-    make_part,
     rotation,
     single,
 )
@@ -81,15 +81,8 @@ class Sphere(Solid):
         rings = [circle_points(r, columns) for r in (self.radius_mm * np.cos(latitude)).tolist()]
         heights = np.repeat(self.radius_mm * np.sin(latitude), columns)
         poles = np.array([[0.0, 0.0, -self.radius_mm], [0.0, 0.0, self.radius_mm]])
-        points = np.concatenate([poles, np.column_stack([np.concatenate(rings), heights])])
-        ring = np.arange(columns)
-        bottom, top = 2 + ring, 2 + (len(rings) - 1) * columns + ring
-        faces = [
-            np.column_stack([np.zeros_like(ring), np.roll(bottom, -1), bottom]),
-            grid_faces(2, len(rings), columns),
-            np.column_stack([np.ones_like(ring), top, np.roll(top, -1)]),
-        ]
-        return make_part(single(points), np.concatenate(faces), self.name)
+        points, faces = capped_tube(poles, np.column_stack([np.concatenate(rings), heights]), columns)
+        return from_arrays(points, faces, self.name)
 
 
 @dataclass(frozen=True)
@@ -136,7 +129,7 @@ class Torus(Solid):
         rings = np.concatenate([circle_points(r, columns) for r in radii.tolist()])
         points = np.column_stack([rings, np.repeat(self.tube_mm * np.sin(angle), columns)])
         faces = grid_faces(0, rows + 1, columns) % len(points)
-        return make_part(single(points), faces, self.name)
+        return from_arrays(single(points), faces, self.name)
 
 
 SPHERE = Sphere("sphere", "sphere about the origin, radius 30 mm", 30.0)

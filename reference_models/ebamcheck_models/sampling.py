@@ -34,20 +34,8 @@ LEAST_DENSITY = 0.15
 """Density is nowhere under this part of its greatest: neighbouring steps stay alike."""
 
 
-def wall_samples(
-    outline: Outline, levels: tuple[float, ...], tolerance_mm: float
-) -> tuple[tuple[Floats, ...], Floats]:
-    """Parameters of each piece, ends included, and heights of the rows of a wall's grid.
-
-    Parameters
-    ----------
-    outline
-        The wall's outline.
-    levels
-        Heights at which the wall begins, changes its law, and ends; each becomes a row.
-    tolerance_mm
-        Greatest distance of the mesh from the wall.
-    """
+def wall_samples(outline: Outline, levels: tuple[float, ...], tolerance_mm: float) -> tuple[tuple[Floats, ...], Floats]:
+    """Parameters of each piece, ends included, and heights of the rows of a wall's grid; each of its levels is a row."""
     probes = [_bends(piece, levels) for piece in outline.pieces]
     bends_up = np.max([up.max(axis=1) for _, up, _ in probes], axis=0)
     rows = _rows(levels, np.sqrt(bends_up / (8.0 * UP_SHARE * tolerance_mm)))

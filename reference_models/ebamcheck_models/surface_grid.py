@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -36,8 +36,7 @@ DIFFERENCE_STEP = 1e-3
 """Step of the second differences, in ranges of the parameter."""
 
 
-@dataclass(frozen=True)
-class Bends:
+class Bends(NamedTuple):
     """Greatest normal parts of the second derivatives of a patch, mm."""
 
     around: float
@@ -68,14 +67,7 @@ def bends(surface: Surface) -> Bends:
 def grid_counts(patches: list[Bends], turns_deg: list[float], tolerance_mm: float) -> tuple[int, list[int]]:
     """Columns around, the same for all patches, and rows of cells of each patch: the fewest cells that do.
 
-    Parameters
-    ----------
-    patches
-        Bends of each patch.
-    turns_deg
-        By how much each patch turns from its lower to its upper edge.
-    tolerance_mm
-        Greatest distance of the mesh from the surface.
+    `turns_deg` is by how much each patch turns from its lower to its upper edge.
     """
     around = max(patch.around for patch in patches)
 

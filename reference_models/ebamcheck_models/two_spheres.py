@@ -9,15 +9,8 @@ import numpy as np
 import shapely
 from numpy.typing import ArrayLike
 
-from ebamcheck.mesh.part import Part
-from ebamcheck_models.model import (
-    SECTION_TOLERANCE_MM,
-    Floats,
-    Solid,
-    make_part,
-    rotation,
-    single,
-)
+from ebamcheck.mesh.part import Part, from_arrays
+from ebamcheck_models.model import SECTION_TOLERANCE_MM, Floats, Solid, rotation, single
 from ebamcheck_models.revolved import Sphere, chords, circle_points
 
 SHARE_OF_CHORDS = 0.5
@@ -26,19 +19,11 @@ SHARE_OF_CHORDS = 0.5
 
 @dataclass(frozen=True, eq=False)
 class TwoSpheres(Solid):
-    """Union of two spheres that cut each other; see :class:`ebamcheck_models.TurnableModel`.
-
-    Parameters
-    ----------
-    centres
-        (2, 3) mm.
-    radii_mm
-        The two radii.
-    """
+    """Union of two spheres that cut each other; see :class:`ebamcheck_models.TurnableModel`."""
 
     name: str
     summary: str
-    centres: Floats
+    centres: Floats  # (2, 3) mm
     radii_mm: tuple[float, float]
     euler_number: int = 4
     shells: int = 2
@@ -96,7 +81,7 @@ class TwoSpheres(Solid):
             part = Sphere("", "", radius).tessellate(tolerance_mm)
             faces.append(part.faces + sum(map(len, vertices)))
             vertices.append(single(part.vertices + centre))
-        return make_part(np.concatenate(vertices), np.concatenate(faces).astype(np.int64), self.name)
+        return from_arrays(np.concatenate(vertices), np.concatenate(faces).astype(np.int64), self.name)
 
     def _discs(self, z: float) -> list[tuple[tuple[float, float], float]]:
         """Centre and radius of every disc that the plane cuts."""

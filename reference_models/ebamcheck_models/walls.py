@@ -10,16 +10,8 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from ebamcheck.mesh.part import Part
-from ebamcheck_models.model import (
-    SECTION_TOLERANCE_MM,
-    Floats,
-    Solid,
-    checked_tolerance,
-    grid_faces,
-    make_part,
-    single,
-)
+from ebamcheck.mesh.part import Part, from_arrays
+from ebamcheck_models.model import SECTION_TOLERANCE_MM, Floats, Solid, checked_tolerance, grid_faces, single
 from ebamcheck_models.outlines import Outline
 from ebamcheck_models.sampling import outline_samples, wall_samples
 
@@ -34,21 +26,11 @@ VOLUME_POINTS = 24
 
 @dataclass(frozen=True)
 class Wall:
-    """A tube: an outline from its lowest to its highest level.
-
-    Parameters
-    ----------
-    outline
-        Counter-clockwise, for holes too.
-    levels
-        Increasing heights: begin, every place where the law of the outline changes, end.
-    hole
-        Whether the solid lies outside of the wall.
-    """
+    """A tube: an outline, counter-clockwise also for holes, from its lowest to its highest level."""
 
     outline: Outline
-    levels: tuple[float, ...]
-    hole: bool = False
+    levels: tuple[float, ...]  # increasing heights: begin, every place where the law of the outline changes, end
+    hole: bool = False  # whether the solid lies outside
 
     def spans(self, z: float) -> bool:
         """Whether the section at z + 0 cuts the wall."""
@@ -57,22 +39,12 @@ class Wall:
 
 @dataclass(frozen=True)
 class Face:
-    """A level face between the ends of walls: an outer ring less inner ones.
-
-    Parameters
-    ----------
-    outer, inner
-        Indices of walls; each touches the face with its lower or upper end.
-    z
-        Height of the face.
-    up
-        Whether the solid lies under it.
-    """
+    """A level face between the ends of walls: an outer ring less inner ones, by the numbers of their walls."""
 
     outer: int
     inner: tuple[int, ...]
     z: float
-    up: bool
+    up: bool  # whether the solid lies under it
 
 
 @dataclass(frozen=True)
@@ -93,8 +65,7 @@ class WalledModel(Solid):
         for wall in self.walls:
             samples, rows = wall_samples(wall.outline, wall.levels, BOUNDS_TOLERANCE_MM)
             points += [
-                np.column_stack([ring := wall.outline.points(samples, z), np.full(len(ring), z)])
-                for z in rows.tolist()
+                np.column_stack([ring := wall.outline.points(samples, z), np.full(len(ring), z)]) for z in rows.tolist()
             ]
         stacked = np.concatenate(points)
         return np.stack([stacked.min(axis=0), stacked.max(axis=0)])
@@ -105,9 +76,7 @@ class WalledModel(Solid):
         rings = [w.outline.points(outline_samples(w.outline, z, tolerance_mm), z) for w in cut]
         holes = [ring for wall, ring in zip(cut, rings, strict=True) if wall.hole]
         outers = [shapely.Polygon(ring) for wall, ring in zip(cut, rings, strict=True) if not wall.hole]
-        return [
-            shapely.Polygon(p.exterior, [h for h in holes if p.contains(shapely.Point(h[0]))]) for p in outers
-        ]
+        return [shapely.Polygon(p.exterior, [h for h in holes if p.contains(shapely.Point(h[0]))]) for p in outers]
 
     def area(self, z: float) -> float:
         """Exact area of the section at height `z`, mm2."""
@@ -147,19 +116,11 @@ class WalledModel(Solid):
             rings_of_face = [ends[n, face.z] for n in (face.outer, *face.inner)]
             triangles = level_facets(points, rings_of_face)
             faces.append(triangles if face.up else triangles[:, ::-1])
-        return make_part(points, np.concatenate(faces), self.name)
+        return from_arrays(points, np.concatenate(faces), self.name)
 
 
 def level_facets(points: Floats, rings: list[Ints]) -> Ints:
-    """Facets (n, 3) of a level region, counter-clockwise, with no vertices but those of its rings.
-
-    Parameters
-    ----------
-    points
-        (V, 3) vertices.
-    rings
-        Rows of `points` of the outer ring and then of the holes.
-    """
+    """Facets (n, 3) of a level region, counter-clockwise, on the vertices of its rings: rows of `points`, the outer first."""
     polygon = shapely.Polygon(points[rings[0], :2], [points[ring, :2] for ring in rings[1:]])
     triangles = shapely.get_parts(shapely.constrained_delaunay_triangles(polygon))
     corners = shapely.get_coordinates(triangles).reshape(-1, 4, 2)[:, :3]

@@ -41,9 +41,7 @@ WHAT_LAYERS = (
     "Each published layer is a program of its own, which passed every gate before it was published, and can be verified from its text, the part and "
     "its settings alone. Good is every layer verified."
 )
-WHAT_REFUSED = (
-    "Readings that were not used, and layers that were kept back: nothing that is published came from them."
-)
+WHAT_REFUSED = "Readings that were not used, and layers that were kept back: nothing that is published came from them."
 
 SHORT_HASH = 12
 
@@ -66,9 +64,7 @@ def document(folder: Path) -> str:
     name = str(build.part["name"])
     main = element("main", _summary(build), _heights(build), _layers(build), _refused(build))
     said = paragraph(f"Folder {folder.name}, by its journal.")
-    return page(
-        f"ebamcheck live: {name}", element("header", element("h1", f"Live build of {name}"), said), main
-    )
+    return page(f"ebamcheck live: {name}", element("header", element("h1", f"Live build of {name}"), said), main)
 
 
 def _read(folder: Path) -> _Build:
@@ -215,6 +211,4 @@ def _refused(build: _Build) -> Markup:
     kept = [entry for entry in build.entries if entry.get("kind") in ("refused", "kept")]
     rows = [tuple(str(entry.get(key, "")) for key in ("kind", "code", "reason")) for entry in kept]
     none = paragraph("Nothing was refused or kept back.")
-    return section(
-        "refused", "Refused", WHAT_REFUSED, table(("answer", "code", "reason"), rows) if rows else none
-    )
+    return section("refused", "Refused", WHAT_REFUSED, table(("answer", "code", "reason"), rows) if rows else none)

@@ -177,9 +177,7 @@ def log_chart(series: Sequence[Series], alone: Series, x_label: str, y_label: st
         _names(x_label, y_label, LOG_HEIGHT_PX, 14),
     ]
     for n, places in enumerate([*lines, lone]):
-        at = [
-            f"{x:.1f},{y:.1f}" for x, y in zip(x_axis.px(places[:, 0]), y_axis.px(places[:, 1]), strict=True)
-        ]
+        at = [f"{x:.1f},{y:.1f}" for x, y in zip(x_axis.px(places[:, 0]), y_axis.px(places[:, 1]), strict=True)]
         colour, dashes = COLOURS[n % len(COLOURS)], DASHES[n % len(DASHES)]
         dots = [f"M{words}h0" for words in at]
         if n == len(lines):
@@ -217,9 +215,7 @@ def _keys(series: Sequence[Series]) -> list[tuple[str, str, str]]:
 
 
 def _dots(data: Sequence[str], colour: str, width_px: float) -> Markup:
-    return element(
-        "path", d="".join(data), stroke=colour, stroke_width=f"{width_px:g}", stroke_linecap="round"
-    )
+    return element("path", d="".join(data), stroke=colour, stroke_width=f"{width_px:g}", stroke_linecap="round")
 
 
 def _row_label(words: str, y_px: float) -> Markup:

@@ -81,9 +81,7 @@ def _backends(run: RunData) -> Iterator[Case]:
             yield Case(_class(name), "slice")
         else:
             outcome: Kind = "error" if status in words.LOST else "skipped"
-            yield Case(
-                _class(name), "slice", outcome, f"{status}: {record['why'] or 'no reason was given'}", status
-            )
+            yield Case(_class(name), "slice", outcome, f"{status}: {record['why'] or 'no reason was given'}", status)
 
 
 def _class(backend: str) -> str:

@@ -194,9 +194,7 @@ DOTS = "dots"  # In place of dashes, for a legend entry of dots
 
 def legend(entries: Iterable[tuple[str, str, str]]) -> Markup:
     """Explain lines: name, colour, dashes."""
-    items = [
-        element("span", _sample(colour, dashes), " ", name, class_="key") for name, colour, dashes in entries
-    ]
+    items = [element("span", _sample(colour, dashes), " ", name, class_="key") for name, colour, dashes in entries]
     return element("div", *items, class_="legend")
 
 

@@ -37,9 +37,7 @@ def polar(
     data = RunData(RunFolder(run))
     layers, curves, truth = data.primary, data.curves, data.reference
     if layers is None or curves is None or truth is None:
-        raise InputError(
-            f"{run}: has no reference to measure against: make it with `ebamcheck run --reference FINE`"
-        )
+        raise InputError(f"{run}: has no reference to measure against: make it with `ebamcheck run --reference FINE`")
     chosen = data.middle_layer if layer is None else index_of_number(layer, len(layers))
     if chosen is None:
         raise InputError(f"{run}: no layer of it has a contour")

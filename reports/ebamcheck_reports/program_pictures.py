@@ -99,9 +99,7 @@ LINES_AROUND = 3  # Lines of the text shown before and after the one in question
 def failed_checks(run: RunData) -> list[Markup]:
     """One figure for each failed check, in the order of the checks: its place in the layer, and the lines of the text around it."""
     failed = [check for check in run.checks if not check["passed"]]
-    return (
-        [element("h3", "Where checks failed"), *(_figure(run, check) for check in failed)] if failed else []
-    )
+    return [element("h3", "Where checks failed"), *(_figure(run, check) for check in failed)] if failed else []
 
 
 def _figure(run: RunData, check: Mapping[str, Any]) -> Markup:

@@ -103,9 +103,7 @@ def idea(run: RunData, exact: Layers, stacks: dict[str, Layers], program: NCProg
     body += [_words(f"{q:.44}", 905, 75 + 19 * n, size=12, family="monospace") for n, q in enumerate(quoted)]
     body.append(_placed(str(path or ""), 895, 250, 335))
     body.append(_words("the path, read back from such text alone", 905, 360, size=15))
-    title = element(
-        "title", "One part, cut by several slicers, becomes a program only if one verdict allows it"
-    )
+    title = element("title", "One part, cut by several slicers, becomes a program only if one verdict allows it")
     return str(element("svg", title, *body, viewBox="0 0 1240 545", width="1240", height="545", role="img"))
 
 
@@ -121,9 +119,7 @@ def _placed(picture: str, x: float, y: float, width: float | None = None) -> Mar
     return Markup(picture.strip().replace("<svg", f'<svg x="{x:g}" y="{y:g}"', 1))
 
 
-def _words(
-    text: str, x: float, y: float, *, size: int = 16, weight: str = "normal", family: str = ""
-) -> Markup:
+def _words(text: str, x: float, y: float, *, size: int = 16, weight: str = "normal", family: str = "") -> Markup:
     font = {"font_size": str(size), "font_weight": weight, "font_family": family or FONT}
     return element("text", text, x=f"{x:g}", y=f"{y:g}", **font, fill="#222")
 

@@ -65,9 +65,7 @@ def lines_of_curves(machine: MachineSettings) -> dict[str, str]:
 def _linuxcnc_lines(machine: MachineSettings) -> dict[str, str]:
     """Lines of the header on curves and smoothing."""
     tolerance = plain(machine.smoothing_tolerance_mm)
-    curves = (
-        lines_of_curves(machine) if machine.curve_form in ("arcs", "lines") else {"CURVES": "G5, exactly"}
-    )
+    curves = lines_of_curves(machine) if machine.curve_form in ("arcs", "lines") else {"CURVES": "G5, exactly"}
     return curves | {"SMOOTHING": f"G64 P{tolerance}, path may leave the program by {tolerance} mm"}
 
 

@@ -64,8 +64,7 @@ def form_lines(machine: MachineSettings) -> dict[str, str]:
         s = machine.bspline_shift
         values["BSPLINE CONVENTION"] = f"s={s}, block i carries PL = U(i+{s}) - U(i+{int(s) - 1}), U clamped"
         values["BSPLINE NOTE"] = (
-            "PL=0 in the end blocks and at repeated knots is outside the range documented for PL, "
-            "prove on the control"
+            "PL=0 in the end blocks and at repeated knots is outside the range documented for PL, prove on the control"
         )
     return values
 

@@ -185,9 +185,7 @@ def _called(run: Run, stem: str, least_s: float, most_s: float) -> str:
         if at_s - before_s < least_s - ROUNDING_S:
             return f"calls layer {k} before its least wait of {least_s:g} s is over"
         if at_s - before_s > most_s + ROUNDING_S:
-            return (
-                f"calls layer {k} {at_s - before_s:g} s after the one before, and could within {most_s:g} s"
-            )
+            return f"calls layer {k} {at_s - before_s:g} s after the one before, and could within {most_s:g} s"
     if not run.stops or run.stops[-1][0] != "M30":
         return "does not end when the part is built"
     return "" if run.stops[-1][2] else "does not command wire and beam off at its end"

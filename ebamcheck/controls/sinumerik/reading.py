@@ -194,9 +194,7 @@ class SinumerikReader(Reader):
         if len(block.lists.get("PO[Z]", ())) > 1:
             raise WordError("PO[Z] with coefficients: layers are flat", 0)
         # Coefficients of t^2 and t^3 in X and Y.
-        (_, x2, x3, *_), (_, y2, y3, *_) = (
-            (*block.lists.get(f"PO[{axis}]", ()), 0.0, 0.0, 0.0) for axis in "XY"
-        )
+        (_, x2, x3, *_), (_, y2, y3, *_) = ((*block.lists.get(f"PO[{axis}]", ()), 0.0, 0.0, 0.0) for axis in "XY")
         if what := self.stray(block.values):
             raise WordError(what, 0)
         self.out.move(POLYNOMIAL, x, y, z, (x2, x3, y2, y3, length))
@@ -257,9 +255,7 @@ class SinumerikReader(Reader):
 
 
 # A name that is none of a device, and a path.
-_FILE_NAME = re.compile(
-    r"(?!(?:CON|PRN|AUX|NUL|COM\d|LPT\d)\.)(?=.{1,24}\.)(?:[A-Z]{2}|_[A-Z])[A-Z0-9_]*\.(?:MPF|SPF)"
-)
+_FILE_NAME = re.compile(r"(?!(?:CON|PRN|AUX|NUL|COM\d|LPT\d)\.)(?=.{1,24}\.)(?:[A-Z]{2}|_[A-Z])[A-Z0-9_]*\.(?:MPF|SPF)")
 _PATH = re.compile(rb";\$PATH=/_N_(?:WKS_DIR/_N_[A-Z0-9_]+_WPD|MPF_DIR|SPF_DIR)\r?")
 
 
@@ -307,9 +303,7 @@ def knot_vector(intervals: Floats, shift: Literal[2, 3], degree: int = CUBIC) ->
     return knots
 
 
-def spline_spans(
-    blocks: Floats, shift: Literal[2, 3, "uniform"], degree: int = CUBIC
-) -> tuple[Ints, Floats, Floats]:
+def spline_spans(blocks: Floats, shift: Literal[2, 3, "uniform"], degree: int = CUBIC) -> tuple[Ints, Floats, Floats]:
     """Split a spline of degree 2 or 3 into its knot spans, each over 0 <= t <= 1.
 
     `blocks` (m + 1, 3) are X, Y and PL of the control points; PL of the first, the position before, is not used. Returns the block

@@ -22,9 +22,7 @@ from ebamcheck.writing.blocks import BlockFormat, end_blocks, numbered, start_bl
 STEM = 10
 
 
-def waiting_program(
-    config: Config, top_mm: float, header: Mapping[str, str] | None = None
-) -> tuple[str, str]:
+def waiting_program(config: Config, top_mm: float, header: Mapping[str, str] | None = None) -> tuple[str, str]:
     """Write the waiting main program of a part whose top is to lie at a Z; return the name of its file and its text."""
     machine = config.machine
     name = legal_name(f"{machine.program_name[:STEM]}_LIVE")

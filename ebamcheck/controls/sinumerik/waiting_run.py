@@ -70,9 +70,7 @@ class Run:
         self.door(self)
 
 
-def run_text(
-    text: str, door: Door, config: Config, most_blocks: int | None = None, top_mm: float = 0.0
-) -> Run:
+def run_text(text: str, door: Door, config: Config, most_blocks: int | None = None, top_mm: float = 0.0) -> Run:
     """Run a text to its end; one that goes on for ever after a stop, or for `most_blocks`, is left there.
 
     `top_mm` is Z of the part's top, over which the program ends. A block that is not understood is an :class:`InputError`, ``LINE
@@ -185,9 +183,7 @@ class Expression:
                 if name in self._run.watched and not self._run.fresh:
                     said = f"{name} is read without STOPRE since time has gone by"
                     self._run.faults.append((self._run.line, said))
-                return (
-                    self._run.values.get(name, 0.0) if _PARAMETER.fullmatch(name) else self._run.values[name]
-                )
+                return self._run.values.get(name, 0.0) if _PARAMETER.fullmatch(name) else self._run.values[name]
             case ast.UnaryOp(op=ast.USub(), operand=one):
                 return -self._of(one)
             case ast.BinOp(left=left, op=ast.LShift(), right=one):
@@ -195,10 +191,7 @@ class Expression:
                 if isinstance(right, float) and not right.is_integer():
                     raise ValueError("a broken number in a name")
                 return f"{text}{right if isinstance(right, str) else int(right)}"
-            case (
-                ast.BinOp(left=left, op=sign, right=right)
-                | ast.Compare(left=left, ops=[sign], comparators=[right])
-            ):
+            case ast.BinOp(left=left, op=sign, right=right) | ast.Compare(left=left, ops=[sign], comparators=[right]):
                 return SIGNS[type(sign)](self._of(left), self._of(right))
             case ast.Call(func=ast.Name(id="SUBSTR"), args=[text, first, count]):
                 start = int(self._of(first))
@@ -286,8 +279,5 @@ class WaitingState:
             if self._values.get(name, 0.0) != 0.0:
                 yield f"{name} is not 0 at the end"
         x, y = self._machine.park_position_mm
-        if (
-            not math.dist((self._place.get("X", math.nan), self._place.get("Y", math.nan)), (x, y))
-            <= 2.0 * PLACE_MM
-        ):
+        if not math.dist((self._place.get("X", math.nan), self._place.get("Y", math.nan)), (x, y)) <= 2.0 * PLACE_MM:
             yield f"does not end at X {x:g} Y {y:g}, where the tool is to be parked"

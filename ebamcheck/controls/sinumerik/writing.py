@@ -158,9 +158,7 @@ def modes(machine: MachineSettings) -> list[str]:
 LEAST_SPLINE_BLOCKS = 6
 
 
-def spline_blocks(
-    control: Floats, knots: Floats, form: BlockFormat, shift: Literal[2, 3, "uniform"]
-) -> list[str]:
+def spline_blocks(control: Floats, knots: Floats, form: BlockFormat, shift: Literal[2, 3, "uniform"]) -> list[str]:
     """Blocks of one spline: its own G1, so that the control starts it anew, BSPLINE, and the control points."""
     opening = ["G1", f"BSPLINE SD={DEGREE}"]
     if shift == "uniform":

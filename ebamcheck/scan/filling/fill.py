@@ -93,9 +93,7 @@ def close_gaps(filled: FilledLayer, regions: Regions, config: Config) -> FilledL
     chosen, widest_mm = spots_to_close(spots, asked.gap_width * width, *measured)
     if not chosen:
         return replace(filled, covered=bare.covered, widest_gap_mm=widest_mm)
-    gaps, island, polygons = gap_beads(
-        chosen, section, filled.islands, width, config.process.hatch_spacing_mm
-    )
+    gaps, island, polygons = gap_beads(chosen, section, filled.islands, width, config.process.hatch_spacing_mm)
     points, of = shapely.get_coordinates(gaps, return_index=True)
     starts = np.flatnonzero(of[:-1] == of[1:])
     lines = joined(filled.lines, Vectors(island[of[starts]], points[starts], points[starts + 1]))

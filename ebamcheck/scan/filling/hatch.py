@@ -45,9 +45,7 @@ class Vectors:
     end: Floats
 
 
-def hatch(
-    islands: ArrayLike, angle_rad: ArrayLike, bead_width_mm: float, spacing_mm: float
-) -> tuple[Vectors, Floats]:
+def hatch(islands: ArrayLike, angle_rad: ArrayLike, bead_width_mm: float, spacing_mm: float) -> tuple[Vectors, Floats]:
     """Fill islands (I,) with parallel lines at angles (I,), rad counter-clockwise from +X, one after the other, alternating; and
     the angles used.
 

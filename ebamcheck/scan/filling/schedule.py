@@ -67,9 +67,7 @@ def island_ends(start: Floats, end: Floats, first: Ints, chained: Bools) -> tupl
 
 # Cosine of the angle between a turn and a line beside it from which on the beam would melt its track again; parallel lines reach -cos(26 degrees)
 SHARPEST_TURN = -math.cos(math.radians(20.0))
-JOINED_MM = (
-    1e-6  # a line that starts within this of the end of the last one goes on without a jump or a wire start
-)
+JOINED_MM = 1e-6  # a line that starts within this of the end of the last one goes on without a jump or a wire start
 
 
 def gaps_mm(start: Floats, end: Floats) -> Floats:

@@ -31,15 +31,11 @@ TAPER, TAPER_SHARE = 0.2, 0.1
 LEAST_APART = 0.5  # no bead of a wall lies nearer to another one of it than this times the spacing: there one has the metal of both
 LEAST_BEAD = 0.5  # no bead reaches less far than this times the bead width, unless the wall has no longer one
 STRAIGHT_ON_DEG = 60.0  # turn at a fork up to which one bead goes on through it
-STRAIGHTNESS = (
-    0.02  # deviation of the centre line from its samples, over the wall's width, by which it is simplified
-)
+STRAIGHTNESS = 0.02  # deviation of the centre line from its samples, over the wall's width, by which it is simplified
 ARC_SEGMENTS = 16  # chords in a quarter of the round around a bead's end
 
 
-def wall_lines(
-    wall: shapely.Polygon, bead_width_mm: float, spacing_mm: float, to_the_end: bool = True
-) -> list[Floats]:
+def wall_lines(wall: shapely.Polygon, bead_width_mm: float, spacing_mm: float, to_the_end: bool = True) -> list[Floats]:
     """Polylines (k, 2), mm, along which beads fill a thin wall, side by side where it is wide enough; none for a wall that has no
     centre line.
 
@@ -249,9 +245,7 @@ def _end_of_taper(local_mm: Floats, steps_mm: Floats, least_mm: float) -> int:
 def _going_on(before: int, after: int) -> list[int]:
     """Of some lines side by side the one (or -1) that goes on in each of another number: as many as can, the nearest."""
     few, many = sorted((before, after))
-    nearest = [
-        min(range(many), key=lambda k: (abs((2 * k + 1) * few - (2 * n + 1) * many), k)) for n in range(few)
-    ]
+    nearest = [min(range(many), key=lambda k: (abs((2 * k + 1) * few - (2 * n + 1) * many), k)) for n in range(few)]
     if before >= after:
         return nearest
     return [nearest.index(n) if n in nearest else -1 for n in range(after)]

@@ -18,15 +18,13 @@ from ebamcheck.scan.islands.lattice import SQRT3, Lattice, long_direction_rad
 
 # Kinds of islands beside those of cells: a solid not divided, a thin wall, a spot left by all of these
 WHOLE, THIN_WALL, GAP = "whole", "thin wall", "gap"
-SLIVER_AREA = (
-    1.0  # islands under this times the squared bead width are slivers: a bead hardly starts before it stops
-)
-SLIVER_WIDTH = (
-    0.5  # islands narrower than this times the bead spacing are slivers: a line there lies on its neighbours
-)
+SLIVER_AREA = 1.0  # islands under this times the squared bead width are slivers: a bead hardly starts before it stops
+SLIVER_WIDTH = 0.5  # islands narrower than this times the bead spacing are slivers: a line there lies on its neighbours
 # No island is a sliver with more than this share of a hexagon's area, or of its width: hexagons set small against the bead are wanted
 SLIVER_SHARE = 0.2
-ON_BORDER_MM = 1e-9  # faces of no area, which rounding leaves along a border, count as inside a solid up to so far from it
+ON_BORDER_MM = (
+    1e-9  # faces of no area, which rounding leaves along a border, count as inside a solid up to so far from it
+)
 DEPTH_SHARE = 0.01  # depth of a point in a face, over the root of its area, that is enough, and the precision of that of the deepest one
 
 
@@ -44,9 +42,7 @@ def hexagon_area_mm2(side_mm: float) -> float:
     return 1.5 * SQRT3 * side_mm**2
 
 
-def partition(
-    solids: Sequence[shapely.Polygon], lattice: Lattice, bead_width_mm: float, spacing_mm: float
-) -> Cells:
+def partition(solids: Sequence[shapely.Polygon], lattice: Lattice, bead_width_mm: float, spacing_mm: float) -> Cells:
     """Divide solids into islands by a lattice; together they are the solids, and no two overlap.
 
     A solid smaller than one hexagon stays whole. No other island is under the least area (the lesser of :data:`SLIVER_AREA` and
@@ -192,9 +188,7 @@ def column(polygons: Sequence[BaseGeometry]) -> NDArray[np.object_]:
 
 # -- Which islands of a layer touch, and along which length ----------------------------------------------------
 
-TOUCH_MM = (
-    1e-6  # borders nearer than this coincide: islands are cut from one region, so only rounding parts them
-)
+TOUCH_MM = 1e-6  # borders nearer than this coincide: islands are cut from one region, so only rounding parts them
 
 
 def shared_borders(islands: NDArray[np.object_]) -> tuple[Ints, Floats]:
@@ -236,9 +230,7 @@ def shared_edges(polygons: NDArray[np.object_]) -> tuple[Ints, Floats]:
 
 
 @kernel
-def common_lengths(
-    points: Floats, ring_starts: Ints, island_rings: Ints, pairs: Ints, tolerance: float
-) -> Floats:
+def common_lengths(points: Floats, ring_starts: Ints, island_rings: Ints, pairs: Ints, tolerance: float) -> Floats:
     """Length over which the borders of each pair of polygons coincide within a tolerance, (P,)."""
     result = np.zeros(len(pairs))
     for n in range(len(pairs)):
@@ -254,12 +246,7 @@ def common_lengths(
                 for q in range(island_rings[pairs[n, 1]], island_rings[pairs[n, 1] + 1]):
                     for k in range(ring_starts[q], ring_starts[q + 1] - 1):
                         cx, cy, dx, dy = points[k, 0], points[k, 1], points[k + 1, 0], points[k + 1, 1]
-                        if (
-                            max(cx, dx) < left
-                            or min(cx, dx) > right
-                            or max(cy, dy) < low
-                            or min(cy, dy) > high
-                        ):
+                        if max(cx, dx) < left or min(cx, dx) > right or max(cy, dy) < low or min(cy, dy) > high:
                             continue
                         off = max(abs(ux * (cy - ay) - uy * (cx - ax)), abs(ux * (dy - ay) - uy * (dx - ax)))
                         if off <= tolerance:

@@ -22,9 +22,7 @@ from ebamcheck.kernels import Floats, Ints
 from ebamcheck.settings.config import Config
 
 SQRT3 = math.sqrt(3.0)
-ZONES = (
-    60  # islands that an ordinary layer is divided into: enough to spread the heat, few enough wire starts
-)
+ZONES = 60  # islands that an ordinary layer is divided into: enough to spread the heat, few enough wire starts
 # Fewest and most beads across a hexagon: under 4 the ends of beads rule the island, over 12 its lines grow as long as those to be avoided
 BEADS_ACROSS = (4, 12)
 ROUNDING = 1e-12  # relative rounding of a length that must not cost a row of hexagons
@@ -124,9 +122,7 @@ def _numbers(across: int, rows: int, rectangle: Rectangle, side_mm: float) -> tu
     return row.ravel(), column.ravel()
 
 
-def _place(
-    rectangle: Rectangle, steps_mm: tuple[float, float], along_short: Ints, along_long: Ints
-) -> Floats:
+def _place(rectangle: Rectangle, steps_mm: tuple[float, float], along_short: Ints, along_long: Ints) -> Floats:
     """Points at whole steps: along L1 from its midpoint, along L2 from its start."""
     return rectangle.to_world(along_short * steps_mm[0], along_long * steps_mm[1] - 0.5 * rectangle.long_mm)
 
@@ -226,9 +222,7 @@ def minimum_rectangle(points: ArrayLike, method: Literal["paper", "exact"] = "ex
     minimum lies."""
     column = np.asarray(points, np.float64).reshape(-1, 2)
     if not len(column) or not np.isfinite(column).all():
-        raise GeometryError(
-            f"minimum rectangle of {len(column)} points: give at least one point, all of them finite"
-        )
+        raise GeometryError(f"minimum rectangle of {len(column)} points: give at least one point, all of them finite")
     hull = _convex_hull(column)
     if method == "paper":
         angles = np.arange(10) * (math.pi / 10)

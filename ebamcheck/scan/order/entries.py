@@ -126,9 +126,7 @@ def high_mean(entry_k: Floats) -> float:
 # -- The coolest ends.
 
 
-def cool_options(
-    heat: IslandHeat, schedule: IslandSchedule, order: Ints, rapid_mm_s: float, longest_mm: float
-) -> Ints:
+def cool_options(heat: IslandHeat, schedule: IslandSchedule, order: Ints, rapid_mm_s: float, longest_mm: float) -> Ints:
     """Choose the entry option (I,) of each island of an order.
 
     Travel, and :func:`high_mean` of the rises at the entries, are no more than by the nearest options, but for travel up to
@@ -193,9 +191,7 @@ def affordable(rise_k: Floats, order: Ints, entry: Floats, leave: Floats, longes
 
 
 @kernel
-def options_by_price(
-    share: Floats, order: Ints, entry: Floats, leave: Floats, price: float
-) -> tuple[Ints, float]:
+def options_by_price(share: Floats, order: Ints, entry: Floats, leave: Floats, price: float) -> tuple[Ints, float]:
     """Entry options (I,) by island of the least sum of powers of shares (I, 4) and of travel at a price, and their travel, mm."""
     count = len(order)
     came_by = np.zeros((count, OPTIONS), np.int64)
@@ -276,9 +272,7 @@ def _entered_k(heat: IslandHeat, order: Ints, start_s: Floats, end_s: Floats) ->
     return old_at_entries(heat, order, start_s, end_s) + young[0]
 
 
-def _steps(
-    heat: IslandHeat, order: Ints, start_s: Floats, end_s: Floats
-) -> Iterator[tuple[int, Field, Field]]:
+def _steps(heat: IslandHeat, order: Ints, start_s: Floats, end_s: Floats) -> Iterator[tuple[int, Field, Field]]:
     """Go through an order: island, the heat when it is entered, and when it is left."""
     modes, clock = heat.modes, 0.0
     field = Field(heat.start_k.copy(), modes.plane_rate, modes.depth_rate, modes.in_layer)

@@ -62,9 +62,7 @@ class LayerIslands:
     def known_schedule(self) -> IslandSchedule:
         """When and where the islands are scanned; raises :class:`SettingsError` where that is not known."""
         if self.schedule is None:
-            raise SettingsError(
-                "this order asks how long islands take: give LayerIslands their polygons and schedule"
-            )
+            raise SettingsError("this order asks how long islands take: give LayerIslands their polygons and schedule")
         return self.schedule
 
     def cold_heat(self) -> IslandHeat:
@@ -212,9 +210,7 @@ def longest_travel_mm(islands: LayerIslands) -> float:
     return islands.config.scan.travel_share * travel_mm
 
 
-def chosen_options(
-    name: str | Order, islands: LayerIslands, order: Ints, heat: IslandHeat | None = None
-) -> Ints:
+def chosen_options(name: str | Order, islands: LayerIslands, order: Ints, heat: IslandHeat | None = None) -> Ints:
     """Entry option (I,) of each island of an order: the nearest, or for an order of cool entries the coolest near enough.
 
     The heat is that with which the layer begins; None: that of a cold part, set up where the order has cool entries.

@@ -31,13 +31,17 @@ from ebamcheck.threads import run_each
 PRICES = (0.005, 0.01, 0.0025, 0.02)
 FEW_ISLANDS = 8  # islands whose plan moves improve whatever the settings say: it takes no time, and comes near the best of all orders
 STARTS = 2  # first islands of the greedy plans for each price, where no moves follow
-MOST_WORK = 4e9  # multiplications in the greedy plans of a layer, which limits their number on a layer of thousands of islands
+MOST_WORK = (
+    4e9  # multiplications in the greedy plans of a layer, which limits their number on a layer of thousands of islands
+)
 # Moves that improve a plan, over its islands; and moves times islands, so that a layer of 300 gets 3300
 MOVES_AN_ISLAND, MOST_MOVES = 800, 1e6
 # Worsening taken at first by a move, as a share of the first cost: over the islands, and at most; without it the hottest entry is 4 % warmer
 WARMTH, MOST_WARMTH = 0.2, 0.005
 HOTTEST_EVERY = 10  # one move in so many starts at the hottest island; the others anywhere
-TOUCH_SHARE = 100.0  # price of an island that touches the one before, over the first cost: no gain in heat or travel is worth it
+TOUCH_SHARE = (
+    100.0  # price of an island that touches the one before, over the first cost: no gain in heat or travel is worth it
+)
 TIE_K = 1e-6  # temperatures closer than this are equal: rounding must not decide between islands that mirror each other
 
 
@@ -187,9 +191,7 @@ def greedy_order(
 
 
 @kernel
-def coolest_first(
-    layer: _Heated, plan: _Greedy, first: int, mean: Floats, start: Floats, latest: float
-) -> None:
+def coolest_first(layer: _Heated, plan: _Greedy, first: int, mean: Floats, start: Floats, latest: float) -> None:
     """Fill a plan by score; `mean` (K, I) is used up, and `start` (K, N) are the amplitudes that the layer begins with.
 
     Old heat, of which the modes have all, is linear between the earliest entry and the latest one, so much time later.
@@ -251,9 +253,7 @@ def _set_fresh_heat(layer: _Heated, plan: _Greedy, n: int) -> None:
 
 
 @kernel
-def _coolest(
-    layer: _Heated, plan: _Greedy, last: int, left: Ints, now: Floats, soon: Floats, latest: float
-) -> int:
+def _coolest(layer: _Heated, plan: _Greedy, last: int, left: Ints, now: Floats, soon: Floats, latest: float) -> int:
     """Place among the islands left of that with the least score; of one that touches the last only where all do."""
     place, best, best_island, best_touches = 0, np.inf, -1, True
     for j in range(left.size):
@@ -408,9 +408,7 @@ def time_from(first: int, order: Ints, layer: Layer, log: Log) -> None:
 
 
 @kernel
-def powers_from(
-    first: int, a: int, b: int, by_heat: Ints, order: Ints, layer: Layer, most: float, log: Log
-) -> float:
+def powers_from(first: int, a: int, b: int, by_heat: Ints, order: Ints, layer: Layer, most: float, log: Log) -> float:
     """Sum of the twelfth powers of the entry temperatures, those from a place on worked out; any sum beyond `most` if it is more.
 
     The rise of an island when the beam enters it is its mean, or that of its entry if it is more. The places that were moved come

@@ -196,9 +196,7 @@ class OrderComparison:
         if (options < 0).any():
             options = nearest_options(order, schedule.entry, schedule.leave)
         modes = modes_at_entries(self.heat, schedule)
-        points_k = rises_at_entries(self.heat, modes, order, begins, ends, options)[
-            np.arange(len(order)), options
-        ]
+        points_k = rises_at_entries(self.heat, modes, order, begins, ends, options)[np.arange(len(order)), options]
         hot = touching_successors(touching(islands.neighbours, len(order)), order)[rank]
         travel_mm = float(simulated["travel_mm"].sum())
         return OrderResult(plan, rank, begins, ends, entry_k, points_k, excess, hot, travel_mm)

@@ -189,9 +189,7 @@ def mean_power(bead_mm: Floats, process: ProcessSettings) -> Floats:
     return np.asarray(1.0 - 0.5 * (1.0 - process.ramp_power) * ramped, np.float64)
 
 
-def _island_path(
-    laid: LaidLayer, order: Ints, options: Ints, config: Config
-) -> tuple[Ints, Floats, Floats, Floats]:
+def _island_path(laid: LaidLayer, order: Ints, options: Ints, config: Config) -> tuple[Ints, Floats, Floats, Floats]:
     """Beads of islands in sequence (n,): island, where each starts and ends, and its length with the turns in it, mm."""
     if not len(order):
         return np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0)

@@ -34,9 +34,7 @@ def stack_plans(planned: Sequence[OrderedLayer], config: Config, order: str, see
     base = np.cumsum([0] + [len(p.laid.islands) for p in planned])
     islands = _joined([p.laid.islands for p in planned], np.zeros(0, object))
     by_layer = list(zip(planned, base[:-1], strict=True))
-    start, end = (
-        _joined([getattr(p.lines, at) for p in planned], np.zeros((0, 2))) for at in ("start", "end")
-    )
+    start, end = (_joined([getattr(p.lines, at) for p in planned], np.zeros((0, 2))) for at in ("start", "end"))
     x, y = (end - start).T
     lines = np.column_stack([start, end, np.degrees(np.arctan2(y, x)) % 360.0])
     vectors = pd.DataFrame(lines, columns=list(LINE_COLUMNS))

@@ -40,9 +40,7 @@ WHOLE_PART = (
 class LayerHeat:
     """A layer simulated on the heat model."""
 
-    figures: dict[
-        str, float
-    ]  # as :data:`~ebamcheck.scan.plan.columns.METRICS` and :data:`WHOLE_PART` name them
+    figures: dict[str, float]  # as :data:`~ebamcheck.scan.plan.columns.METRICS` and :data:`WHOLE_PART` name them
     island_wait_s: Floats  # (I,) wait before each island
     inner_wait_s: Floats  # (I,) wait before each further bead of an island
     mean_k: Floats  # (B,) mean temperature of the surface when each bead is entered, contours first, absolute
@@ -70,9 +68,7 @@ class OrderedLayer:
     heat: LayerHeat | None = None  # where it was simulated
 
     @classmethod
-    def of(
-        cls, name: str | Order, laid: LaidLayer, islands: LayerIslands, heat: IslandHeat | None
-    ) -> OrderedLayer:
+    def of(cls, name: str | Order, laid: LaidLayer, islands: LayerIslands, heat: IslandHeat | None) -> OrderedLayer:
         """Put islands in an order; `heat` is that with which the layer begins, where the order asks for it."""
         order = scan_order(name, islands, heat)
         return cls(laid, islands, order, chosen_options(name, islands, order, heat))
@@ -249,9 +245,7 @@ def _warmed(cold: IslandHeat, ready: ReadyIslands, part: PartHeat, last: Simulat
     return replace(cold, start_k=ahead.amplitudes())
 
 
-def _layer_heat(
-    done: SimulatedLayer, travel_mm: float, beads: Beads, islands: int, config: Config
-) -> LayerHeat:
+def _layer_heat(done: SimulatedLayer, travel_mm: float, beads: Beads, islands: int, config: Config) -> LayerHeat:
     # Beyond the boiling point the model says that it is too hot, not how hot.
     boiling_k, ambient_k = config.material.boiling_k, config.process.ambient_temperature_k
     rise_k = np.minimum(done.bed_k, boiling_k) - ambient_k

@@ -161,7 +161,9 @@ class LatticeStack:
 
 LAYERS_OF_A_SINGLE = 16  # layers over the height of a part of which one single plane is wanted: coordinates then lose no bit to the margins
 MARK_SHARE = 2.0**-10  # side of a mark over the smaller side of the part
-MARK_LAYERS = 0.6  # height of a mark over that of a layer: the lower one is cut in the middle of layer 0, the upper one nowhere
+MARK_LAYERS = (
+    0.6  # height of a mark over that of a layer: the lower one is cut in the middle of layer 0, the upper one nowhere
+)
 
 MARK = np.array([(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)])
 # A tetrahedron with facets counter-clockwise seen from outside
@@ -210,10 +212,7 @@ class Placement:
         """Make layers of rings by the program's layer; a ring that ends where it begins is closed, another open."""
         corner, first = self.part.bounds[0, :2], self.first_layer
         layers = [
-            [
-                (ring / self.scale + corner, bool((ring[0] == ring[-1]).all()))
-                for ring in found.get(first + k, [])
-            ]
+            [(ring / self.scale + corner, bool((ring[0] == ring[-1]).all())) for ring in found.get(first + k, [])]
             for k in range(self.lattice.count)
         ]
         return from_paths(self.lattice.heights, layers, **labels)
@@ -253,7 +252,9 @@ def refuse_what_is_mended(part: Part, program: str) -> None:
         )
 
 
-VERSION_LIMIT_S = 20.0  # time that a program may take to tell its version: the first start after a boot reads it from a slow disk
+VERSION_LIMIT_S = (
+    20.0  # time that a program may take to tell its version: the first start after a boot reads it from a slow disk
+)
 TAIL_BYTES = 8192  # how much of the end of a program's output is kept for messages
 
 
@@ -297,9 +298,7 @@ class Program:
         found = self.find()
         if found is None:
             named = os.environ.get(self.variable)
-            why = (
-                f"{self.variable}={named} is no executable" if named else f"{self.command} is not on the PATH"
-            )
+            why = f"{self.variable}={named} is no executable" if named else f"{self.command} is not on the PATH"
             return Probe(False, why=why, hint=self.hint)
         try:
             version = _version(self, found)

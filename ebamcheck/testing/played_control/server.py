@@ -241,17 +241,13 @@ class _Users:
     def __init__(self, access: Access | None) -> None:
         self._access = access
 
-    def get_user(
-        self, iserver: Any, username: str | None = None, password: Any = None, certificate: Any = None
-    ) -> Any:
+    def get_user(self, iserver: Any, username: str | None = None, password: Any = None, certificate: Any = None) -> Any:
         from asyncua.crypto.permission_rules import User, UserRole
 
         if self._access is None:
             return User(role=UserRole.User)
         given = password.decode() if isinstance(password, bytes) else str(password or "")
-        if username == self._access.user and secrets.compare_digest(
-            given.encode(), self._access.password.encode()
-        ):
+        if username == self._access.user and secrets.compare_digest(given.encode(), self._access.password.encode()):
             return User(role=UserRole.User, name=username)
         return None
 

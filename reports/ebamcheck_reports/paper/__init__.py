@@ -15,18 +15,14 @@ from ebamcheck.errors import ExitCode
 
 
 def paper(
-    output: Annotated[
-        Path, typer.Option("-o", "--output", help="Folder for paper.html and paper.json.")
-    ] = Path("paper"),
+    output: Annotated[Path, typer.Option("-o", "--output", help="Folder for paper.html and paper.json.")] = Path(
+        "paper"
+    ),
     bunny: Annotated[
         Path | None,
-        typer.Option(
-            help="Mesh to show Figures 3 to 8 on (the Stanford bunny is not shipped); default: a blade."
-        ),
+        typer.Option(help="Mesh to show Figures 3 to 8 on (the Stanford bunny is not shipped); default: a blade."),
     ] = None,
-    units: Annotated[
-        str, typer.Option(help="Unit of that file: mm, cm, m, um, in, ft. Never guessed.")
-    ] = "mm",
+    units: Annotated[str, typer.Option(help="Unit of that file: mm, cm, m, um, in, ft. Never guessed.")] = "mm",
     full: Annotated[
         bool, typer.Option("--full", help="All eleven sizes and all 4488 layers: some ten minutes, 7 GB.")
     ] = False,

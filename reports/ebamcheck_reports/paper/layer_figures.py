@@ -87,9 +87,7 @@ def find_subject(path: Path | None, units: str) -> Subject:
         about += f" Layer {layer + 1} is empty: that of the greatest area is shown."
         shown = largest
     sections = [stack.take(np.array([k])) for k in (shown, largest)]
-    return Subject(
-        part, about, len(heights), int(sampled[shown]), sections[0], int(sampled[largest]), sections[1]
-    )
+    return Subject(part, about, len(heights), int(sampled[shown]), sections[0], int(sampled[largest]), sections[1])
 
 
 # -- Figures 3 to 5: the image and its contours ----------------------------------------------------

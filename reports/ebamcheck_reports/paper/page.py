@@ -168,9 +168,7 @@ def _our_parts(layers: list[dict[str, Any]]) -> str:
 
 
 def _our_times(largest: Mapping[str, Any]) -> str:
-    times = [
-        f"{name} {duration(t['total_s'])}" for name, t in largest["times"].items() if t["status"] == "done"
-    ]
+    times = [f"{name} {duration(t['total_s'])}" for name, t in largest["times"].items() if t["status"] == "done"]
     return f"{largest['facets']:,} facets: {', '.join(times) or 'no backend is available'}"
 
 

@@ -260,10 +260,7 @@ def polar(title: str, record: Record, pictures: Sequence[Markup]) -> Markup:
 
 def _published(given: Record) -> list[Markup]:
     stages = (("sliced polyline", "polyline_mm", 0), ("fitted curve", "fit_mm", 1))
-    rows = [
-        [name, *map(figure, (*given[key], given["range_mm"][k], given["max_mm"][k]))]
-        for name, key, k in stages
-    ]
+    rows = [[name, *map(figure, (*given[key], given["range_mm"][k], given["max_mm"][k]))] for name, key, k in stages]
     reductions = [_percent(given["reductions"][key]) for key in ("low_end", "high_end", "range", "max")]
     columns = ("", "least, mm", "greatest, mm", "range, mm", "maximum, mm")
     claimed = given["claimed_reduction"]

@@ -48,16 +48,13 @@ def render(run: RunData) -> Markup:
         return section("agreement", "Agreement", WHAT, none, _areas(run), _chosen(run))
     charts = (element("h3", "Over the layers"), _areas(run), _ratios(run))
     findings = (element("h3", "Disagreements"), *_findings(run))
-    return section(
-        "agreement", "Agreement", WHAT, _counts(run), *_figures(run), *charts, *findings, _chosen(run)
-    )
+    return section("agreement", "Agreement", WHAT, _counts(run), *_figures(run), *charts, *findings, _chosen(run))
 
 
 def _counts(run: RunData) -> Markup:
     comparison = run.part_of("comparison")
     verdicts = [
-        f"{counted(int(n), 'layer')}: {words.meaning(words.VERDICTS, v)}"
-        for v, n in comparison["verdicts"].items()
+        f"{counted(int(n), 'layer')}: {words.meaning(words.VERDICTS, v)}" for v, n in comparison["verdicts"].items()
     ]
     classes = [f"{n} {words.meaning(words.CLASSES, c)}" for c, n in comparison["classes"].items()]
     return paragraph("; ".join(verdicts), ". Of all, ", ", ".join(classes), ".")

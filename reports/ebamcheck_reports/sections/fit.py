@@ -177,10 +177,7 @@ def rays_rad() -> Floats:
 
 def polar_chart(layers: Layers, layer: int, errors: tuple[Floats, Floats]) -> Markup:
     """Polar error of the largest outer contour of a layer over the angle (paper, Figure 11)."""
-    series = [
-        Series(of, np.degrees(rays_rad()), error)
-        for of, error in zip(("contour", "curve"), errors, strict=True)
-    ]
+    series = [Series(of, np.degrees(rays_rad()), error) for of, error in zip(("contour", "curve"), errors, strict=True)]
     caption = (
         f"Polar error of the largest outer contour of {layer_name(layer, float(layers.heights[layer]))} before and after fitting; "
         "nearer to zero is better. Gaps are angles at which a ray meets a contour more than once."
@@ -238,9 +235,7 @@ LEGEND = (
 )
 
 
-def _drawn(
-    layers: Layers, curves: Curves, layer: int, corner_angle_deg: float, title: str
-) -> tuple[Markup, str]:
+def _drawn(layers: Layers, curves: Curves, layer: int, corner_angle_deg: float, title: str) -> tuple[Markup, str]:
     """Pictures of a layer and of the place at which the curve leaves the contour most, and a sentence about that place."""
     joints = _joints(curves, layer, corner_angle_deg)
     spans = curves.block(layer, layer + 1).bezier_spans().points
@@ -263,7 +258,9 @@ def _drawn(
         return whole, ""
     # The deviation takes a sixteenth of the enlarged piece, which has at least 0.1 mm.
     inset = canvas(around(x, y, max(8.0 * deviation, 0.05)), INSET_PX).svg(f"{title}, enlarged")
-    told = f"Enlarged: the place where curve and contour differ most, about {deviation:.2g} mm at ({x:.2f}, {y:.2f}) mm."
+    told = (
+        f"Enlarged: the place where curve and contour differ most, about {deviation:.2g} mm at ({x:.2f}, {y:.2f}) mm."
+    )
     return join([whole, inset]), told
 
 

@@ -103,9 +103,7 @@ def _checks(run: RunData) -> Markup:
             result,
             c["text"],
         )
-        rows.append(
-            row((*cells, element("code", where) if where else ""), class_=None if c["passed"] else "bad")
-        )
+        rows.append(row((*cells, element("code", where) if where else ""), class_=None if c["passed"] else "bad"))
     columns = ("check", "value", "limit", "unit", "result", "in words", "worst or first place")
     return table(columns, rows, class_="checks", numbers=("value", "limit"))
 

@@ -158,9 +158,7 @@ def _heat(run: RunData, plan: ScanPlan) -> list[Markup]:
         "surface when the layer begins": metrics["enter_k"],
         "surface when it is done": metrics["leave_k"],
     }
-    series = [
-        Series(n, metrics["layer"], np.minimum(k, boiling)) for n, k in lines.items() if k.notna().any()
-    ]
+    series = [Series(n, metrics["layer"], np.minimum(k, boiling)) for n, k in lines.items() if k.notna().any()]
     given = (solidus, "solidus") if limit is None else (limit, "limit of entry")
     chart = line_chart(series, "layer", "temperature, K", *given)
     over = int((np.maximum(entry, metrics["leave_k"].fillna(0.0)) >= boiling).sum())
@@ -169,9 +167,7 @@ def _heat(run: RunData, plan: ScanPlan) -> list[Markup]:
         "entered up to the limit; the surface gets warmer while a layer is laid."
     )
     if over:
-        caption += (
-            f" {over} layers are over the model's range and drawn at the boiling point: metal would boil."
-        )
+        caption += f" {over} layers are over the model's range and drawn at the boiling point: metal would boil."
     return [*_build_times(run), picture(chart, caption), *_measures(plan, metrics)]
 
 
@@ -264,7 +260,5 @@ def draw(plan: ScanPlan, section: Layers | None, layer: int, bead_width_mm: floa
 def _corners(shapes: list[Any], bead_width_mm: float, outlines: list[Floats]) -> Floats:
     """Corners of the box about beads and section."""
     pad = 0.5 * bead_width_mm
-    bounds = [
-        np.add(shapely.bounds(s), (-pad, -pad, pad, pad)).reshape(2, 2) for s in shapes if not s.is_empty
-    ]
+    bounds = [np.add(shapely.bounds(s), (-pad, -pad, pad, pad)).reshape(2, 2) for s in shapes if not s.is_empty]
     return np.concatenate([*bounds, *outlines] or [np.array([[-0.5, -0.5], [0.5, 0.5]])])

@@ -40,10 +40,10 @@ WHAT = (
     "The whole run on one page; what stands behind each line follows below. Good is every gate passed and nothing left to do but "
     "what a person has to."
 )
-CHECK_WHAT = (
-    "The whole check on one page; what stands behind each line follows below. Good is every gate passed."
+CHECK_WHAT = "The whole check on one page; what stands behind each line follows below. Good is every gate passed."
+GATES_WHAT = (
+    "Gates stand between the part and the machine. Every one must pass; a gate compares one figure with one limit."
 )
-GATES_WHAT = "Gates stand between the part and the machine. Every one must pass; a gate compares one figure with one limit."
 CHECK_GATES_WHAT = "Gates stand before the contours; a gate compares one figure with one limit."
 
 
@@ -80,9 +80,7 @@ def _short_banner(run: RunData) -> Markup:
 
 def _picture(run: RunData) -> Markup:
     if run.part_of("slabs"):
-        return paragraph(
-            "The part was checked in slabs: its layers were dropped, and there is no picture of it."
-        )
+        return paragraph("The part was checked in slabs: its layers were dropped, and there is no picture of it.")
     try:
         layers = run.primary
     except InputError as error:

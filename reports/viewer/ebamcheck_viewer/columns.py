@@ -24,9 +24,7 @@ _GROUPS = 10  # groups of seven bits that hold any 64
 
 def quantised(values: ArrayLike, step: float = STEP_MM) -> Ints:
     """Multiples of a step nearest to values; what is unknown is 0."""
-    return np.rint(np.nan_to_num(np.asarray(values, np.float64), posinf=0.0, neginf=0.0) / step).astype(
-        np.int64
-    )
+    return np.rint(np.nan_to_num(np.asarray(values, np.float64), posinf=0.0, neginf=0.0) / step).astype(np.int64)
 
 
 def packed(columns: Mapping[str, Ints]) -> str:

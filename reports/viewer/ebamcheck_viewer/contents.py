@@ -219,9 +219,7 @@ def _island_of(nc: NCProgram, rows: Ints, plan: ScanPlan | None, k: int) -> Ints
 
 def strips(run: RunData) -> list[dict[str, Any]]:
     """For each gate that has a figure of each layer: the share of its limit that every layer takes, and the place where it does."""
-    found = [
-        strip for strip in (_agreement(run), _coverage(run), _deposit(run), _heat(run)) if strip is not None
-    ]
+    found = [strip for strip in (_agreement(run), _coverage(run), _deposit(run), _heat(run)) if strip is not None]
     return [strip | {"share": quantised(strip["share"], SHARE).tolist(), "step": SHARE} for strip in found]
 
 
@@ -230,11 +228,7 @@ def _agreement(run: RunData) -> dict[str, Any] | None:
         return None
     pairs = run.pair_table[run.pair_table["gated"]]
     pairs = pairs.assign(share=(pairs["depth_mm"] / pairs["limit_mm"]).fillna(0.0))
-    worst = (
-        pairs.loc[pairs.groupby("layer")["share"].idxmax()]
-        .set_index("layer")
-        .reindex(run.layer_table["layer"])
-    )
+    worst = pairs.loc[pairs.groupby("layer")["share"].idxmax()].set_index("layer").reindex(run.layer_table["layer"])
     of = (worst["a"] + ", " + worst["b"]).fillna("").tolist()
     places = worst[["depth_x_mm", "depth_y_mm"]]
     return _strip("agreement", worst["share"], worst["depth_mm"], worst["limit_mm"], "mm", places, of)

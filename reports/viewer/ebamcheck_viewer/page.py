@@ -22,9 +22,7 @@ HEAD = """<!DOCTYPE html>
 def document(contents: Contents) -> str:
     """Build the whole page."""
     shipped = files("ebamcheck_viewer").joinpath("dist")
-    script, style = (
-        shipped.joinpath(name).read_text(encoding="utf-8") for name in ("viewer.min.js", "viewer.css")
-    )
+    script, style = (shipped.joinpath(name).read_text(encoding="utf-8") for name in ("viewer.min.js", "viewer.css"))
     policy = f"script-src {_hash(script)}; style-src {_hash(style)}"
     title = html.escape(f"ebamcheck: {contents.index['name']}")
     body = [

@@ -23,9 +23,7 @@ def view(
     ],
     output: Annotated[
         Path | None,
-        typer.Option(
-            "-o", "--output", help="FILE.html; default: NAME-viewer.html for the first of the files."
-        ),
+        typer.Option("-o", "--output", help="FILE.html; default: NAME-viewer.html for the first of the files."),
     ] = None,
     config_file: Annotated[
         Path | None,
@@ -44,9 +42,7 @@ def view(
     from ebamcheck_viewer.page import document
 
     first = files[0].resolve()
-    target = output or Path(
-        f"{first.name.removesuffix('.run') if first.is_dir() else first.stem}-viewer.html"
-    )
+    target = output or Path(f"{first.name.removesuffix('.run') if first.is_dir() else first.stem}-viewer.html")
     if target.suffix.lower() != ".html":
         raise SettingsError(f"{target}: give FILE.html")
     is_run = len(files) == 1 and (first / MANIFEST).is_file()
