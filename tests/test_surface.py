@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from benchmarks.chance_forms import _over_a_cube
+from benchmarks.chance_curves import _over_a_cube
 from benchmarks.quadric_decimation import quadric_decimated
 from command_line import ebamcheck, write_stl
 
