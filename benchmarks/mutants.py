@@ -19,6 +19,7 @@ import tomllib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 
@@ -134,7 +135,7 @@ def tried(rows: Sequence[Mutant]) -> pd.DataFrame:
         if sound or not ran:
             raise SystemExit(f"{sound} of {ran} tests fail without any change: mend them first")
         print(f"the code as it is: {ran} tests pass in {seconds:.0f} s", flush=True)
-        lines = []
+        lines: list[dict[str, Any]] = []
         for row in rows:
             path = tree / row.file
             text = path.read_text(encoding="utf-8")
@@ -160,7 +161,7 @@ def report(table: pd.DataFrame, written: int) -> str:
     text += f"{len(table)} of {written} changes were tried; {int(table['found'].sum())} were found.\n\n"
     text += markdown(["room", "tried", "found", "tests that found one, median"], rooms.to_numpy().tolist()) + "\n"
     return text + (
-        "\n## Not found\n\n" + markdown(missed.columns, missed.to_numpy().tolist()) + "\n" if len(missed) else ""
+        "\n## Not found\n\n" + markdown(list(missed.columns), missed.to_numpy().tolist()) + "\n" if len(missed) else ""
     )
 
 

@@ -101,6 +101,15 @@ def test_a_beam_without_its_power_is_found(control, tmp_path):
 
 
 @pytest.mark.parametrize("control", CONTROLS)
+def test_a_first_way_without_one_axis_is_found(control, tmp_path):
+    text = ProgramText(control, tmp_path / "p")
+    name, begin = text.layer(1)
+    place = text.edit(name, r"G0 X-?[\d.]+ ", "G0 ", begin=begin)
+    found = text.failed_by_text()
+    assert "readable" in found or any(near(check.where, place) for check in found.values())
+
+
+@pytest.mark.parametrize("control", CONTROLS)
 def test_a_beam_that_stands_is_found(control, tmp_path):
     text = ProgramText(control, tmp_path / "p")
     name, begin = text.layer(2)

@@ -240,6 +240,7 @@ class _Cells:
         self.places, self._shape = places, target.share.shape
         rows, columns = self._shape
         at = (places - target.origin) / target.step_mm - 0.5
+        at = np.where(np.isfinite(at), at, -2.0)  # a place whose axis nothing has given lies beside the grid, too
         corner = np.floor(at).astype(np.int64)
         part = at - corner
         self._corners: list[tuple[Bools, Ints, Floats, Floats]] = []
