@@ -7,11 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from benchmarks.chance_curves import _over_a_cube
-from benchmarks.quadric_decimation import quadric_decimated
 from command_line import ebamcheck, write_stl
 
-from benchmarks.chance_curves import Case, judge
+from benchmarks.chance_curves import Case, _over_a_cube, judge
 from benchmarks.curve_parts import AXES_MM, CAD, RING_MM, TUBE_MM, _torus, heights_of, part_of
 from benchmarks.curve_parts_meshes import (
     as_file,
@@ -20,6 +18,7 @@ from benchmarks.curve_parts_meshes import (
     irregular_convex,
     irregular_torus,
     noisy,
+    quadric_decimated,
     split_edges,
     turned,
 )
