@@ -1,9 +1,13 @@
-"""Draw the pictures of README.md from a finished run of the demo part: ``python reports/pictures/draw.py demo/run``."""
+"""Draw the pictures of README.md from a finished run of the demo part: ``python reports/pictures/draw.py demo/run``; that of the
+viewer where chromium is installed."""
 
 from __future__ import annotations
 
 import argparse
 import re
+import shutil
+import subprocess
+import tempfile
 from pathlib import Path
 
 from ebamcheck.checks.metal import deposit
@@ -21,6 +25,8 @@ from ebamcheck_reports.markup import Markup, element
 from ebamcheck_reports.run_data import RunData, layer_name
 from ebamcheck_reports.sections import agreement, scan
 from ebamcheck_reports.sections import metal as metal_section
+from ebamcheck_viewer.contents import of_run
+from ebamcheck_viewer.page import document
 
 ROOT_LAYER, BLADE_LAYER = 12, 57
 """A layer of the root, which is partitioned into hexagons, and one through the hollow blade."""
@@ -65,7 +71,6 @@ def draw(folder: Path, target: Path) -> None:
             title=f"layer {BLADE_LAYER + 1}, enlarged: {worst.pair}, {worst.depth_mm:.3f} mm deep",
         ),
         "partition-root": scan.draw(plan, exact, ROOT_LAYER, bead_mm, root),
-        "partition-blade": scan.draw(plan, exact, BLADE_LAYER, bead_mm, blade),
         "program-blade": program_pictures.draw(program, f"{blade}, read back from the program", BLADE_LAYER),
         "metal-root": metal(
             program, RunFolder(folder).read_layers(run.manifest["program"]["witness"]), run.config, root
@@ -77,6 +82,19 @@ def draw(folder: Path, target: Path) -> None:
         if NAMESPACE not in text.split(">", 1)[0]:
             text = text.replace("<svg ", f"<svg{NAMESPACE} ", 1)
         (target / f"{name}.svg").write_text(text + "\n", encoding="utf-8")
+    if chromium := shutil.which("chromium"):
+        viewer(folder, target / "viewer.png", chromium)
+
+
+def viewer(folder: Path, target: Path, chromium: str) -> None:
+    """The viewer at a moment of the blade layer, as a browser shows it."""
+    seen = f"#layer={BLADE_LAYER + 1}&t=270&show=planecut,stencil&draw=beads,travel,numbers,curves&color=rank"
+    with tempfile.TemporaryDirectory() as temporary:
+        page = Path(temporary) / "viewer.html"
+        page.write_text(document(of_run(RunFolder(folder))), encoding="utf-8")
+        words = ["--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--virtual-time-budget=8000"]
+        words += [f"--user-data-dir={temporary}/profile", "--window-size=1240,760", f"--screenshot={target}"]
+        subprocess.run([chromium, *words, page.as_uri() + seen], check=True, capture_output=True)
 
 
 def idea(run: RunData, exact: Layers, stacks: dict[str, Layers], program: NCProgram, texts: Path) -> str:
