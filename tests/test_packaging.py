@@ -63,7 +63,7 @@ def test_the_wheel_holds_the_packages_all_of_their_files_and_nothing_else(names:
         for path in source.rglob("*")
         if path.is_file() and "__pycache__" not in path.parts
     }
-    assert len(PACKAGES) == 11
+    assert len(PACKAGES) == 12
     assert {f"{package}/__init__.py" for package in PACKAGES} | {"ebamcheck/py.typed"} <= files
     assert {name for name in names if ".dist-info/" not in name} == files
 

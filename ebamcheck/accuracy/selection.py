@@ -163,9 +163,8 @@ def _fault(workpiece: Workpiece, outcome: Outcome, comparison: Comparison) -> st
     return f"{where}: {f.metric} {f.value:.4g} over {f.limit:.4g}"
 
 
-TIE_SHARE = (
-    0.1  # times that differ by less than this share of the shorter are a tie: runs differ by as much from each other
-)
+# Times that differ by less than this share of the shorter are a tie: runs differ by as much from each other.
+TIE_SHARE = 0.1
 RULES = (
     "A slicer must be available and slice the part without a fault; its bound and its measured error must meet the "
     "tolerance; of those left the fastest is primary. Times within 10 % are a tie, which goes by priority, then by "

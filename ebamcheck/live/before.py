@@ -164,9 +164,8 @@ def corrected(before: Before, found: Warmth, config: Config) -> tuple[Before, Co
     factor = (found.surface_k - chamber_k) / (modelled_k - chamber_k)
     part = then.part.copy()
     column = part.column
-    assert column.tables is not None
     rise_k = factor * (column.temperature_k - chamber_k)
-    column.content = column.tables.heat_content(chamber_k + rise_k)
+    column.content = column.material.heat_content(chamber_k + rise_k)
     part.field.state *= factor
     return replace(then, part=part), Correction(found, modelled_k, factor)
 

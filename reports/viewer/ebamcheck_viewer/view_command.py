@@ -34,7 +34,9 @@ def view(
         ),
     ] = None,
 ) -> ExitCode:
-    """Write a page that scrubs through layers, slicers, beads and NC blocks; it opens from disk, without a network.
+    """Write a page that scrubs through a build, bead by bead.
+
+    It shows layers, slicers, beads and NC blocks, opens from disk, and needs no network.
 
     Example: ebamcheck view blade.run -o blade-viewer.html
     """
