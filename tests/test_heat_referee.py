@@ -43,6 +43,7 @@ def test_heat_content_adds_up_by_the_formulas_of_the_data():
     assert theta == pytest.approx(1e-3 * (1.26 * (1268 - cold) + 0.00785 * (1268**2 - cold**2)), rel=2e-3)
 
 
+@pytest.mark.in_turn(2, first=1)
 @pytest.mark.parametrize("base", ["cooled", "insulated"])
 def test_what_is_absorbed_is_stored_conducted_away_or_radiated(base):
     model = referee(PLATE, PROFILE.changed(process={"base": base}), 4.0, 3.0)

@@ -61,6 +61,7 @@ def ask(package, **environment):
     return float(value), int(hits) > 0, folder
 
 
+@pytest.mark.slow
 def test_a_change_of_a_kernel_or_constant_below_compiles_anew(package):
     assert ask(package)[:2] == (20.0, False)
     assert ask(package)[:2] == (20.0, True)

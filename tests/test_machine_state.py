@@ -53,6 +53,7 @@ def test_an_honest_program_passes(control, tmp_path):
     assert ProgramText(control, tmp_path / "q", process=process).failed() == {}
 
 
+@pytest.mark.in_turn(3)
 @pytest.mark.parametrize("control", CONTROLS)
 def test_every_mode_is_established_by_the_main_program(control, tmp_path):
     for word in wanted_words(control, ProgramText(control, tmp_path / "p").config.machine).values():
@@ -64,6 +65,7 @@ def test_every_mode_is_established_by_the_main_program(control, tmp_path):
         assert any(near(check.where, place) for check in named), (word, found)
 
 
+@pytest.mark.in_turn(3)
 @pytest.mark.parametrize("control", CONTROLS)
 def test_every_block_of_the_safe_end_is_asked_for(control, tmp_path):
     text = ProgramText(control, tmp_path / "p")

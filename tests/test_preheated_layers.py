@@ -213,6 +213,7 @@ def place(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_a_run_that_preheats_has_a_main_program_that_waits_and_verifies(place):
     waiting = (place / "box.run" / "live" / "MAIN_LIVE.MPF").read_text()
     assert "; VALIDATED" in waiting
@@ -240,6 +241,7 @@ def test_a_build_preheats_the_plate_with_its_first_layer_and_plays_again(place, 
     assert f"{len(layers)} layers made again" in done.stdout
 
 
+@pytest.mark.slow
 def test_a_layer_made_again_knows_the_preheated_plate(place, tmp_path):
     found = finished_run(place / "box.run")
     warm = found.before(1)
@@ -253,6 +255,7 @@ def test_a_layer_made_again_knows_the_preheated_plate(place, tmp_path):
     assert "; PASS 1" in (layer / "program" / f"{layer.name}_L0001.SPF").read_text()
 
 
+@pytest.mark.slow
 def test_a_program_of_a_run_may_hold_its_scans_in_its_layers(place):
     (place / "in.toml").write_text(PLATE + 'scan_in = "layer"\n')
     done = ebamcheck("run", "box.stl", "-o", "in.run", "--backends", FAST, "-c", "in.toml", cwd=place)

@@ -326,6 +326,7 @@ def pause_check(files, config):
     return next(c for c in verify_program(nc, config=config) if c.name == "layer pause"), nc
 
 
+@pytest.mark.in_turn(3)
 @pytest.mark.parametrize("control", CONTROLS)
 def test_a_program_waits_between_its_layers_and_after_none_else(tmp_path, control):
     config, files = paused(tmp_path, control)

@@ -118,6 +118,7 @@ def test_a_wrong_encoding_is_found(program, encoding):
     assert found["readable"].where.startswith(f"{SECOND}:1")
 
 
+@pytest.mark.in_turn(2, first=1)
 @pytest.mark.parametrize("name", [MAIN, SECOND])
 def test_any_changed_byte_is_found(program, name):
     files, failures = program
