@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import html
 import re
+import subprocess
 import zlib
 from pathlib import Path
 
@@ -13,11 +14,13 @@ import pytest
 from browser import shown_page
 from command_line import ebamcheck
 from finished_runs import certified_plate
+from program_text import ProgramText
 
+from ebamcheck.nc.reader import read_program
 from ebamcheck.record.run_folder import RunFolder
 from ebamcheck_reports.run_data import RunData
 from ebamcheck_viewer.columns import packed, packed_text
-from ebamcheck_viewer.contents import Contents, of_run
+from ebamcheck_viewer.contents import Contents, of_files, of_run
 from ebamcheck_viewer.page import document
 
 
@@ -156,3 +159,28 @@ def test_a_browser_shows_the_layer_and_block_of_an_address(plate: Path, contents
     now = re.search(r'<li class="now"><button[^>]*>([^<]*)', shown)
     assert now
     assert html.unescape(now[1]) == text[line - 1]
+
+
+def test_layers_of_one_file_are_told_by_their_lines(tmp_path: Path) -> None:
+    text = ProgramText("linuxcnc", tmp_path / "p")
+    index = of_files({}, read_program(tmp_path / "p", text.config), text.config).index
+    assert index["files"] == [text.main] * 2
+    begins = [text.layer(k)[1] + 1 for k in (1, 2)]
+    assert begins[0] < index["lines"][0] < begins[1] < index["lines"][1]
+
+
+def test_the_page_holds_what_its_sources_are_bundled_to(tmp_path: Path) -> None:
+    viewer = Path(__file__).parents[1] / "reports" / "viewer"
+    esbuild = viewer / "node_modules" / ".bin" / "esbuild"
+    if not esbuild.exists():
+        pytest.skip("esbuild is not installed: make viewer installs it")
+    words = [
+        "src/main.js",
+        "--bundle",
+        "--minify",
+        "--format=iife",
+        "--target=es2022",
+        f"--outfile={tmp_path / 'v.js'}",
+    ]
+    subprocess.run([esbuild, *words], cwd=viewer, check=True, capture_output=True)
+    assert (tmp_path / "v.js").read_bytes() == (viewer / "ebamcheck_viewer" / "dist" / "viewer.min.js").read_bytes()

@@ -95,6 +95,7 @@ def _contents(
     if program is not None:
         index |= {"files": list(program.layer_files), "z_mm": _rounded(z)}
         _add(every, motions(program, config, plan, count))
+        index["lines"] = [int(columns["m.line"][0]) if columns["m.line"].size else 0 for columns in every]
         found.blobs |= {f"T{file.name}": packed_text(file.data) for file in program.files}
     found.blobs |= {f"L{k + 1}": packed(columns) for k, columns in enumerate(every)}
     return found

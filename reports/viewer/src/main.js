@@ -133,7 +133,8 @@ async function lines(file, line) {
 
 /** Go to a line of the program. @param {string} file @param {number} line */
 async function toLine(file, line) {
-  const place = (index.files || []).indexOf(file);
+  const files = /** @type {string[]} */ (index.files || []), first = files.indexOf(file); // a file may hold several layers
+  const place = files.findLastIndex((name, k) => name === file && (k === first || index.lines[k] <= line));
   if (place >= 0) {
     if (state.layer !== place + 1) await go(place + 1);
     const row = layer.ofLine(line);
