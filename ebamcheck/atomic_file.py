@@ -1,5 +1,5 @@
-"""Files that appear whole or not at all; and a file that a user names is a regular one: a folder, a pipe or a device is refused
-unopened."""
+"""Writes files that appear whole or not at all; refuses a folder, a pipe or a device that a user names in place of a file, without
+opening it."""
 
 from __future__ import annotations
 
@@ -67,10 +67,10 @@ KINDS = {
 
 
 def regular_file(path: str | Path, error: type[EbamcheckError] = InputError) -> Path:
-    """Return a path, without opening it, unless something else than a regular file, or a link to one, stands there: else raise
-    `error`.
+    """Return a path, without opening it; raise `error` if anything but a regular file, or a link to one, stands
+    there.
 
-    What is missing, or must not be looked at, is told by whoever opens it.
+    A missing or forbidden file passes: the code that opens it reports that.
 
     >>> regular_file("/dev/zero")
     Traceback (most recent call last):

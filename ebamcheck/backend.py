@@ -16,7 +16,7 @@ from pydantic import BaseModel, ConfigDict
 from ebamcheck.errors import SettingsError
 
 if TYPE_CHECKING:
-    # Who asks a plugin what it is waits for no compiler of kernels.
+    # A caller that only asks a plugin what it is must not wait for the kernels' compiler.
     from ebamcheck.layers.stack import Layers
     from ebamcheck.mesh.part import Part
 
@@ -102,7 +102,7 @@ class Prepared(Protocol):
 
 @runtime_checkable
 class Turnable(Protocol):
-    """What a :class:`Prepared` may offer, too: the same part along another direction, for less than from anew."""
+    """What a :class:`Prepared` may offer, too: it cuts the same part along another direction, cheaper than one made anew."""
 
     def turned(self, part: Part) -> Prepared:
         """Make ready a part that has the same `faces` under turned vertices; this object stays as it is."""
@@ -130,8 +130,8 @@ class Slicer(Protocol):
     Settings
         The slicer's settings, a :class:`BackendSettings`.
 
-    A slicer of this house of this project's own kernels may have ``isolated = False``, too: then
-    ``ebamcheck slice`` runs it in its own process. All others are run in one of theirs.
+    A slicer of this project, made of its own kernels, may have ``isolated = False``, too: then ``ebamcheck slice`` runs it
+    in the process of the command. Every other slicer runs in a process of its own.
 
     Examples
     --------

@@ -82,7 +82,7 @@ def write_table(table: pa.Table, path: Path, **changed: Any) -> None:
 
 @contextmanager
 def readable(path: Path, what: str = "Parquet") -> Iterator[None]:
-    """Name the file in errors of reading it as `what` it should be; raises :class:`InputError`."""
+    """Turn an error of reading a file into an :class:`InputError` that names the file and `what` it should be."""
     try:
         yield
     except (OSError, pa.ArrowException) as error:
@@ -91,7 +91,7 @@ def readable(path: Path, what: str = "Parquet") -> Iterator[None]:
 
 
 def open_table(path: Path) -> pq.ParquetFile:
-    """Open a Parquet file whose pages are checked as they are read; close it, and put it into :func:`readable`."""
+    """Open a Parquet file whose pages are checked as they are read; the caller closes it, and reads within :func:`readable`."""
     import pyarrow.parquet as pq
 
     return pq.ParquetFile(regular_file(path), page_checksum_verification=True)

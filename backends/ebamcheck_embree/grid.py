@@ -23,7 +23,7 @@ OFFSET_X, OFFSET_Y = 0.381966, 0.276393
 
 
 class Grid(NamedTuple):
-    """Nodes ``(x0 + i cell, y0 + j cell)``, mm, about the centre of the part; the outermost lie outside it."""
+    """Nodes ``(x0 + i cell, y0 + j cell)``, mm from the centre of the part; the outermost lie outside the part."""
 
     x0_mm: float
     y0_mm: float

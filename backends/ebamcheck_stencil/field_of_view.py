@@ -23,9 +23,9 @@ MARGIN_PX = 2  # empty pixels kept around the part, so that every contour closes
 GRID_SHIFT_PX = (0.381966, 0.236068)
 
 WORD_BITS = 64  # rows of bitmaps are padded to whole words of this size
-FINEST_AUTOMATIC_MM = 0.1  # the paper's pixel (section 2.2)
+FINEST_AUTOMATIC_MM = 0.1  # the paper's pixel (section 2.2); automatic ones are coarser only for parts over 409.6 mm
 FEWEST_AUTOMATIC_PX = 1024
-MOST_AUTOMATIC_PX = 4096  # least and greatest number of pixels along the larger side, for an automatic pixel
+MOST_AUTOMATIC_PX = 4096  # fewest and most pixels along the larger side, for an automatic pixel
 
 
 @dataclass(frozen=True)

@@ -94,7 +94,7 @@ class LiteralSlices:
         self._context.release()
 
     def slice(self, heights: NDArray[np.float64], progress: Progress | None = None) -> Layers:
-        """Cut at strictly increasing heights (L,), one draw for each of the facets above that a ray can meet."""
+        """Cut at strictly increasing heights (L,): one draw per layer, of the facets above it that a ray can meet."""
         heights = np.ascontiguousarray(heights, dtype=np.float64)
         size = min(DRAWS_A_BLOCK * self._at_once, max(1, heights.size))
         room = np.empty((BLOCKS_AT_WORK, size, self._bitmap_words), np.uint64)
@@ -113,8 +113,8 @@ class LiteralSlices:
         return layers_of(heights, found, self._view, self._labels)
 
     def _draw(self, heights: NDArray[np.float64], bitmaps: NDArray[np.uint64]) -> Iterator[int]:
-        """Draw the bitmaps (heights, words) of a block of layers; yields how many more are there. Some are drawn while others are
-        fetched."""
+        """Draw the bitmaps (heights, words) of a block of layers; yields the number of layers that became ready. The device draws
+        some while others are fetched."""
         drawn = int(np.searchsorted(heights, self._top_mm, side="right")) if self._height_mm > 0.0 else 0
         bitmaps[drawn:] = 0
         edges = [*range(0, drawn, self._at_once), drawn]

@@ -1,5 +1,5 @@
-"""The distance of a slicer's layers from the truth, a model's exact sections; and what is measured, as data beside the
-baselines."""
+"""Deviation of a slicer's layers from the truth, a model's exact sections; its metrics, their tolerances, and the matrix of what is
+measured."""
 
 from __future__ import annotations
 
@@ -42,8 +42,8 @@ MEASURED, REFUSED = "measured", "refused"
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """A model made ready: the mesh that the slicers cut; heights (L,), middles of uniform layers and planes through level faces,
-    and which are which; exact sections of the model; and the depth (L,) that a section of the mesh may have against the exact one.
+    """A model made ready: the mesh that slicers cut; heights (L,) of uniform layers' middles and of planes through level faces,
+    where `uniform` marks the former; exact sections of the model; and the depth (L,) that the mesh may deviate from them.
     """
 
     part: Part
@@ -56,7 +56,7 @@ class Truth:
 
 @dataclass(frozen=True)
 class Measured:
-    """What one backend's layers came to on one model."""
+    """Result of one backend on one model."""
 
     status: str  # ``measured``, or how the backend failed
     why: str = ""
@@ -78,8 +78,8 @@ def truth_of(model: Model, tolerance_mm: float, layers: int) -> Truth:
 
 
 def _level_planes(model: Model, part: Part) -> Floats:
-    """Heights of level faces on which mesh and model mean the same side of a step, which the rounding of vertices may have moved
-    down."""
+    """Heights of level faces at which mesh and model lie on the same side of a step, although rounding of vertices may have moved
+    it down."""
     z = part.vertices[:, 2][part.faces]
     levels = np.unique(z[(z == z[:, :1]).all(axis=1), 0])
     kept = []
@@ -109,8 +109,8 @@ def _allowance(model: Model, exact: Layers, tolerance_mm: float) -> Floats:
 
 
 def measure_outcome(truth: Truth, outcome: Outcome) -> Measured:
-    """Measure what a backend made of the truth's part at its heights; without a rule for layers in a vertex or face, these are left
-    out."""
+    """Measure the layers that a backend made of the truth's part; those in a vertex or face are left out where it declares no rule
+    for them."""
     if outcome.file is None:
         return Measured(outcome.failure, outcome.why)
     judged = np.ones(truth.heights.size, np.bool_)
@@ -284,7 +284,7 @@ def chosen_models(matrix: Matrix, names: Sequence[str]) -> dict[str, Model]:
 
 
 def rounds(matrix: Matrix, model: str, backends: Sequence[str]) -> list[dict[str, Subject]]:
-    """Subjects of one model in rounds of one a backend, so that a round runs its processes side by side."""
+    """Sort the subjects of one model into rounds with one subject per backend, whose processes run side by side."""
     varied = not matrix.variant_models or model in matrix.variant_models
     found: list[dict[str, Subject]] = []
     for name in backends:

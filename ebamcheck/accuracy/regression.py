@@ -1,4 +1,4 @@
-"""One regression report: measure, hold against the baselines, keep the history; its page and its ``junit.xml``."""
+"""Regression report of accuracy: measures slicers, compares with baselines, keeps a history, writes a page and ``junit.xml``."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ Note = Callable[[str], None]
 
 @dataclass(frozen=True)
 class Regression:
-    """What a report came to."""
+    """Entries, baselines and differences of one report."""
 
     baselines: Path
     entries: Mapping[Key, Entry]
@@ -56,7 +56,7 @@ class Regression:
 
     @property
     def compared(self) -> int:
-        """Entries that were held against a baseline."""
+        """Number of entries that were compared with a baseline."""
         return sum(d.verdict in ("same", "worse", "better") for d in self.differences)
 
     @property
@@ -87,8 +87,8 @@ def run_regression(
     note: Note = lambda text: None,
     settings: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> Regression:
-    """Measure models x backends x settings, and hold them against the baselines of a folder; without names every-day models,
-    available backends.
+    """Measure models x backends x settings, and compare them with the baselines of a folder; without names the every-day models and
+    the available backends.
 
     `settings` of a backend go on top of those of the matrix, and are held against the same baselines; `note` tells of them.
     """
@@ -113,7 +113,7 @@ def run_regression(
             timings[str(entry.key)] = seconds
     judged = list(chosen)
     if not models and folder.is_dir():
-        # Without a choice, those that are no longer installed count, too.
+        # Without a choice, models that are no longer installed count, too.
         gone = {path.stem for path in folder.glob("*.json")} - installed_models().keys()
         judged += sorted(gone)
     before = read_baselines(folder, judged)
@@ -171,8 +171,8 @@ def _measure(
 
 
 def updated(regression: Regression, mode: UpdateMode) -> list[Path]:
-    """Write the baselines of what failed, is new or vanished, or of all but crashes and what could not run; returns the files that
-    changed."""
+    """Write the baselines of entries that got worse, are new or vanished, or of all but crashes and what could not run; returns the
+    files that changed."""
     wanted = UPDATED_BY_FAILED if mode == "failed" else (*UPDATED_BY_FAILED, "same", "better")
     touched = [d.key for d in regression.differences if d.verdict in wanted]
     files = sorted({key.model for key in touched})
@@ -390,7 +390,7 @@ def _opened(path: Path) -> Iterator[sqlite3.Connection]:
 
 
 def write_junit(regression: Regression, folder: Path) -> Path:
-    """Write one suite, one case an entry; its times are 0, the true ones stand in ``timings.json``."""
+    """Write one suite with one case per entry; its times are 0, ``timings.json`` holds the true ones."""
     name, path = "ebamcheck.regress", folder / "junit.xml"
     cases = [_case(name, difference) for difference in regression.differences]
     junit.write_junit(junit.junit(name, {name: cases}), path)

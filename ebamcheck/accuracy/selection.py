@@ -1,4 +1,4 @@
-"""Which slicers suit this machine: accuracy and speed of every one on a part, a choice by stated rules, and its section of the
+"""Which slicers suit this machine: accuracy and speed of each on a part, a choice by stated rules, and the machine's section of the
 settings file."""
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class Workpiece:
 
 @dataclass(frozen=True)
 class Trial:
-    """What one backend came to; lengths in mm, times in seconds."""
+    """Result of one backend; lengths in mm, times in seconds."""
 
     name: str
     exact: bool
@@ -64,14 +64,14 @@ class Trial:
 
 
 def workpiece_of_part(part: Part, layer_height_mm: float) -> Workpiece:
-    """Take a part of the user's; what is exact is found by the slicers' consensus."""
+    """Take a part of the user's; the slicers' consensus stands for its exact sections."""
     timed = layer_heights(part, layer_height_mm)
     every = np.unique(np.linspace(0, len(timed) - 1, min(len(timed), ACCURACY_LAYERS)).round().astype(int))
     return Workpiece(part, timed[every], timed, f"{part.name}, {len(part.faces)} facets")
 
 
 def workpiece_of_model(model: Model, mesh_tolerance_mm: float, layer_height_mm: float) -> Workpiece:
-    """Take a reference model: what is exact is known."""
+    """Take a reference model, whose exact sections are known."""
     low, high = model.bounds[:, 2].tolist()
     layers = min(max(1, round((high - low) / layer_height_mm)), ACCURACY_LAYERS)
     truth = truth_of(model, mesh_tolerance_mm, layers)
@@ -86,9 +86,9 @@ def try_backends(
     repeats: int = REPEATS,
     note: Callable[[str], None] = lambda text: None,
 ) -> list[Trial]:
-    """Try every installed backend, or those of ``slicing.backends``; by name, and none raises.
+    """Try ``slicing.backends``, else every installed backend of priority 0 or more; trials are sorted by name, and none raises.
 
-    A fault is to be outvoted on a layer, or on a model to leave the exact section by more than bound and mesh allow.
+    A backend is at fault if a layer is outvoted, or, on a model, deviates from the exact section by more than bound and mesh allow.
     """
     limits = Limits(config.slicing.time_limit_s, config.slicing.memory_limit_mb)
     trials: dict[str, Trial] = {}

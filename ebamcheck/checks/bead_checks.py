@@ -1,8 +1,8 @@
 """Checks of the beads that a program lays: nothing left bare, no line missing, none laid twice; and the form of the hatch.
 
-A line that ends where it should not, or a block that is missing, leaves the metal of a layer within its limits more often than not:
-a pool is wider than the slip. The form shows it: lines to and fro are parallel and evenly apart. Beads that follow a wall have
-none."""
+A line with a wrong end, or a missing block, mostly leaves the metal of a layer within its limits, because a pool is wider than the
+slip. The form of the hatch shows the slip: lines to and fro are parallel and evenly apart. Beads that follow a wall have no such
+form."""
 
 from __future__ import annotations
 
@@ -41,10 +41,10 @@ from ebamcheck.threads import run_each
 LINES, CROSSINGS = "hatch lines", "crossings"  # Names of the checks
 CHORD_MM = 0.5  # Chords of curved beads
 PARALLEL = 1e-3  # Sine of the angle between lines of one direction
-TO_AND_FRO = 1.0 / 3.0  # Share of a bead's length along one direction from which on it is lines to and fro
+TO_AND_FRO = 1.0 / 3.0  # Least share of a bead's length along one direction for lines to and fro
 WIDEST_SPACINGS = 1.3  # Of neighbouring lines to and fro; a bead that comes back further away follows a wall
-LEAST_TURN = -math.cos(math.radians(15.0))  # Of a bead that turns back on its track; sound turns have 26
-# Cosine of a joint that is a bend, and bends in a row that follow a wall: a line out of place has two.
+LEAST_TURN = -math.cos(math.radians(15.0))  # Of a bead that turns back on its track, 15 degrees; sound turns have 26
+# Least cosine of a joint that is a bend, and number of bends in a row that follow a wall: a misplaced line has two.
 GENTLE, MANY = 0.5, 3
 FINE, SKEW, UNEVEN, BACK = 0, 1, 2, 3
 AT_ONCE = 1_000_000  # Pairs of lines that are held at once
@@ -78,8 +78,8 @@ def form_checks(nc: NCProgram, config: Config) -> list[Check]:
 
 
 def _whole_lines(nc: NCProgram) -> tuple[Ints, Ints, Floats]:
-    """Lines of straight hatch beads, parts at other power or wire taken together: first of each bead (P + 1,), first motion (n,),
-    way (n, 2)."""
+    """Join parts at different power or wire to lines of straight hatch beads: first line of each bead (P + 1,), first motion
+    (n,) and way (n, 2) of each line."""
     beads = nc.beads
     curved = beads.any(nc.kind[beads.rows] != STRAIGHT)
     mine = ~curved[beads.bead] & (nc.island[beads.rows] >= 0)
@@ -98,7 +98,7 @@ def _whole_lines(nc: NCProgram) -> tuple[Ints, Ints, Floats]:
 
 
 def form_of(first: Ints, start: Floats, way: Floats, spacing: float) -> tuple[Ints, Ints]:
-    """Form of each bead: whether its lines are to and fro and evenly so, (P,), and the line where they are not (P,)."""
+    """Form (P,) of each bead, one of FINE, SKEW, UNEVEN and BACK, and its line at fault (P,), 0 for none."""
     sizes = np.diff(first)
     state, at = np.zeros(sizes.size, np.int64), np.zeros(sizes.size, np.int64)
     for size in np.unique(sizes[sizes > 1]).tolist():
@@ -154,7 +154,7 @@ def _first(which: Bools) -> Ints:
 
 
 def _turned_back(way: Floats, length: Floats) -> Bools:
-    """Lines (m, n) that go back on the one before."""
+    """Mark the lines (m, n) that turn back on the line before."""
     back = np.zeros(length.shape, np.bool_)
     known = np.minimum(length[:, :-1], length[:, 1:]) > 10.0 * TWO_PLACES_MM
     along = (way[:, :-1] * way[:, 1:]).sum(axis=2)
@@ -195,7 +195,7 @@ def _before(which: Bools) -> Ints:
 
 
 def _crossed(nc: NCProgram, rows: Ints, bead: Ints, pool_mm: float) -> list[int]:
-    """Later motion of each pair that crosses, hatch at least one of them; `bead` (B,) is that of each motion."""
+    """Later motion of each crossing pair in which at least one is hatch; `bead` (B,) is the bead of each motion."""
     owner, segments = nc.chords(rows, CHORD_MM)
     moves = (segments[:, :2] != segments[:, 2:]).any(axis=1)
     owner, segments = owner[moves], segments[moves]
@@ -235,7 +235,7 @@ def _passes(one: shapely.LineString, other: shapely.LineString, pool_mm: float) 
 
 
 def _apart(one: Floats, other: Floats) -> Bools:
-    """Pairs of segments (n, 4) that cross further from all their ends than what these are rounded by."""
+    """Mark the pairs of segments (n, 4) that cross farther from all their ends than the rounding of the ends."""
     if not len(one):
         return np.zeros(0, np.bool_)
     lines = [np.asarray(shapely.linestrings(s.reshape(-1, 2, 2)), dtype=np.object_) for s in (one, other)]
@@ -248,13 +248,13 @@ def _apart(one: Floats, other: Floats) -> Bools:
 
 
 CRUMB = 0.25  # Bare pieces under this times the squared bead width are corners that a round bead never fills
-SPACING_SHARE = 1.5  # Neighbouring lines of an island in spacings, at most; where one is missing, it is two
+SPACING_SHARE = 1.5  # Largest distance of neighbouring lines, in spacings; a missing line makes it two
 PARALLEL_RAD = 1e-3  # Lines of an island whose directions differ by more follow a wall, and have no spacing
-WIDEST_GAP = 0.95  # Width of a gap between beads over that of the one which a missing line leaves
-# Of the bead's width: by how much a gap may be wider than the plan leaves them, whose grid has samples of that size; and what sound
-# plans leave where three islands meet, however near to one another their lines lie.
+WIDEST_GAP = 0.95  # Largest gap between beads, over the gap that a missing line leaves
+# Shares of the bead's width: how much wider than planned a gap may be, one sample of the plan's grid; and the gap that
+# sound plans leave where three islands meet, however near to one another their lines lie.
 GAP_MARGIN, LEAST_GAP_LIMIT = 0.05, 0.15
-MARGIN = 2  # Samples by which the box around a patch is wider: what is bare to the next ones
+MARGIN = 2  # Samples added around the box of a patch: its bare area reaches to the next samples
 _NUMBERED = re.compile(rb"\s*(?:/\d?\s*)?(?:[N:]\s*\d+)?", re.IGNORECASE)
 
 
@@ -320,7 +320,7 @@ def _is_bare(subject: Subject, pairs: Ints) -> Bools:
 
 
 def _once(nc: NCProgram) -> Check:
-    """Whether a line, of the hatch or of a contour, lies on another of its layer; contours may overlap their start."""
+    """Check that no hatch or contour line lies on another of its layer; a contour may overlap its start."""
     contour = (nc.ring >= 0) & (nc.kind == STRAIGHT) & ~nc.overlap
     rows = np.flatnonzero(nc.deposit & ~nc.turn & ((nc.island >= 0) | contour) & (nc.lengths > SAME_LINE_MM))
     rows = rows[np.isfinite(nc.start[rows]).all(axis=1) & np.isfinite(nc.end[rows]).all(axis=1)]
@@ -336,7 +336,7 @@ def _once(nc: NCProgram) -> Check:
 
 
 def repeated_blocks(nc: NCProgram) -> Check:
-    """Blocks with metal that repeat the line before: a motion to where the tool stands, or the same words but for their numbers."""
+    """Check that no block with metal repeats the one before: a motion that goes nowhere, or the same words but for the N number."""
     still = nc.deposit & (nc.lengths == 0.0)
     faults = row_faults(nc, still, "a motion that goes nowhere: the block before says the same")
     lines = [file.data.split(b"\n") for file in nc.files]
@@ -361,7 +361,7 @@ def _words_of(line: bytes) -> list[bytes]:
 
 
 def coverage_check(subject: Subject) -> list[Check]:
-    """Check the least share of a section that the beads cover; the overlap of all, and the largest gap of the worst, are told."""
+    """Check the least share of a section that beads cover; the text gives the overlap of all and the worst layer's largest gap."""
     nc, config, sections = subject.nc, subject.config, subject.witness_sections or []
     limit, width = config.scan.least_coverage, config.process.bead_width_mm
     solid = [k for k, section in enumerate(sections) if not section.is_empty]
@@ -388,7 +388,7 @@ def coverage_check(subject: Subject) -> list[Check]:
 
 
 def gaps_check(subject: Subject) -> list[Check]:
-    """Check the widest gap within the contour beads: corners that a round bead cannot fill lie outside of their middle."""
+    """Check the widest gap inside the centre lines of the contour beads; corners that a round bead cannot fill lie outside."""
     nc, config = subject.nc, subject.config
     width = config.process.bead_width_mm
     missing_line_mm = WIDEST_GAP * (2.0 * config.process.hatch_spacing_mm - width)

@@ -1,4 +1,4 @@
-"""How checks are made together, and how the worst place of many becomes one check; tolerances that no setting makes; remedies."""
+"""Tools that all checks share: a check from faults or the worst of many values, tolerances that no setting changes, remedies."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ PLACE_MM = 1e-3  # Places and heights nearer than this are one: three decimals a
 TWO_PLACES_MM = 2.0 * PLACE_MM  # Distance of two places of which each is rounded to the decimals of a program
 VALUE_SHARE = 1e-3  # Share by which a printed value may be off: volts, milliamperes, feeds, wire speeds
 WINDOW_SHARE = 1e-5  # The same at the border of a window: process values have six decimals in a program
-PRINTED = 1e-6  # Decimals of a process value, of a wait, and of heights in comments
+PRINTED = 1e-6  # Last decimal of a process value, of a wait, and of heights in comments
 PATH_TOLERANCE_MM = 1e-3  # Path read back against the fitted curve: a tenth of what a slicer agrees to
 SECTION_TOLERANCE_MM = 0.05  # Contours against the section: fit of curves, and round corners of insets
 WIRE_TOLERANCE = 0.01  # Metal of a bead over what is asked for: the decimals of wire speed and feed
@@ -28,7 +28,7 @@ DIRECTION_ROUNDING_DEG = 0.01  # Of a line of a few tenths of a millimetre whose
 LIMIT_ROUNDING_MM = 1e-9  # Rounding of a curve's extreme
 SAME_SIZE = 1e-4  # Share of its size by which a part may be off: coordinates of an STL file have seven digits
 SAME_AREA = 1e-3  # Share of the greatest section by which mesh and slicer differ only where bodies overlap
-WIRE_PLACE_MM = 0.2  # By so much curve forms, and rounded ends of blocks, place a change of wire elsewhere
+WIRE_PLACE_MM = 0.2  # Shift of a change of wire that curve forms and rounded ends of blocks cause
 
 # What to do about a check that fails: texts that several checks, and findings, have in common.
 AGAIN = "make the program again (ebamcheck run); a text that was edited by hand is checked with ebamcheck verify"
@@ -70,7 +70,7 @@ Faults = list[tuple[str, str]]  # Where (``FILE:line``), and what
 
 
 def smooth_tolerance_mm(config: Config) -> float:
-    """Distance of the path from a smooth section that was sliced, cleaned and fitted anew, as the bead's path was, too."""
+    """Tolerance of the path against a smooth section that was sliced, cleaned and fitted anew, as the bead's path was, too."""
     curves = config.curves
     return SECTION_TOLERANCE_MM + 2.0 * curves.tolerance_mm + curves.near_point_mm + curves.collinear_mm
 
@@ -83,7 +83,7 @@ def checks_of(groups: Sequence[Callable[[], Sequence[Check]]]) -> list[Check]:
 
 
 def count_check(name: str, places: Faults, good: str) -> Check:
-    """Check that there is no fault; `places` are those there are, in order."""
+    """Check that there is no fault; `places` are the faults, in order."""
     if not places:
         return Check(name, True, 0.0, 0.0, "faults", "", good)
     where, what = places[0]
@@ -95,14 +95,14 @@ def limit_check(
     name: str, value: float, limit: float, unit: str, text: str, where: str = "", layer: int | None = None,
     at: Sequence[float] | Floats = (), remedy: str = "",
 ) -> Check:  # fmt: skip
-    """Check that the worst value, found at X and Y `at`, is not over its limit; one that is no number is."""
+    """Check that the worst value, found at X and Y `at`, is not over its limit; NaN counts as over it."""
     x_mm, y_mm = (float(at[0]), float(at[1])) if len(at) else (None, None)
     passed, value = bool(value <= limit), float(value)
     return Check(name, passed, value, limit, unit, where, text, layer, x_mm, y_mm, remedy=remedy)
 
 
 def worst_check(name: str, nc: NCProgram, rows: Ints, values: ArrayLike, limit: float, unit: str, what: str) -> Check:
-    """Check that no value is over the limit; one that is no number is over any."""
+    """Check that no value is over the limit; NaN counts as infinite."""
     values = np.asarray(values, dtype=np.float64)
     if not values.size:
         return Check(name, True, 0.0, limit, unit, "", f"{what}: nothing to check")
@@ -113,7 +113,7 @@ def worst_check(name: str, nc: NCProgram, rows: Ints, values: ArrayLike, limit: 
 
 
 def row_faults(nc: NCProgram, rows: Bools | Ints, what: str, *values: ArrayLike) -> Faults:
-    """Motions that are wrong for the same reason; `values` (n,) each of them are filled into what there is to say."""
+    """Faults of motions that are wrong for the same reason `what`, which is filled with their `values`, (n,) each."""
     index = np.flatnonzero(rows) if np.asarray(rows).dtype == np.bool_ else np.asarray(rows)
     each = zip(index.tolist(), *(np.asarray(column).tolist() for column in values), strict=True)
     return [(nc.where(row), what.format(*filled)) for row, *filled in each]

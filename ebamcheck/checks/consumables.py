@@ -1,5 +1,5 @@
-"""What a build uses up: the wire on the spool and the life of the gun's cathode, layer by layer; a program's summary, and parts of
-a plate.
+"""What a build uses up, layer by layer: the wire on the spool and the life of the gun's cathode; also a program's summary, and the
+record of a plate's parts.
 
 Wire that ends within a bead leaves a hole under a beam that burns on; a cathode that fails opens the chamber over a hot part. Both
 can be replaced at a stop before a layer, if the program has such stops (``machine.optional_stop``)."""
@@ -40,7 +40,7 @@ TOLD_LAYERS = 6  # Layers that a text names; of more the number
 
 @dataclass(frozen=True)
 class Spent:
-    """What the layers below took of spool and cathode in use, and what was put on new before the last of them."""
+    """Use of the current spool and cathode by the layers below, and what was put on new before the last of them."""
 
     wire_kg: float = 0.0
     beam_h: float = 0.0
@@ -53,9 +53,9 @@ class Spent:
 
 @dataclass(frozen=True)
 class Consumed:
-    """What a program uses up of one thing, and before which layers, from 0, a new one is needed. It ends in layer `ends_in`, at
-    ``FILE:line`` `where`, if not None; `spent` of the one that is there was used before the program, and `in_use` of the last one
-    is used when it is done."""
+    """Use of one consumable by a program, and the layers, from 0, before which a new one is needed. It runs out in layer `ends_in`,
+    at ``FILE:line`` `where`, unless that is None; `spent` of the first one was used before the program, `in_use` of the last one is
+    used when the program is done."""
 
     name: str
     holds: float
@@ -95,7 +95,7 @@ FRESH = Spent()  # Nothing: a program from the plate up begins with a full spool
 
 
 def spent_after(found: Sequence[Consumed]) -> Spent:
-    """What is taken of spool and cathode when a program is done; nothing of one that is not weighed."""
+    """Use of spool and cathode when a program is done; zero for one whose capacity the profile does not give."""
     in_use = {one.name: one.in_use for one in found}
     new = tuple(one.name for one in found if one.changes)
     return Spent(in_use.get(SPOOL, 0.0), in_use.get(CATHODE, 0.0), new)
@@ -107,7 +107,7 @@ def consumables_checks(nc: NCProgram, config: Config) -> list[Check]:
 
 
 def consumed(nc: NCProgram, config: Config, spent: Spent = FRESH) -> list[Consumed]:
-    """What a program uses up of the things of which the profile says how much they hold.
+    """Use by a program of each consumable whose capacity the profile gives.
     With a stop before each layer a new one may be put on before the first, too, if layers below have used the one that is there."""
     machine, found, time_s = config.machine, [], motion_seconds(nc, config)
     before = np.zeros(max(len(nc.layer_files), 1))
@@ -128,7 +128,7 @@ def consumed(nc: NCProgram, config: Config, spent: Spent = FRESH) -> list[Consum
 
 
 def lasting(checks: Sequence[Check], config: Config, spent: Spent) -> tuple[list[Check], Spent]:
-    """Check that spool and cathode last for a layer with what those below took, by its checks as a program by itself."""
+    """Check that spool and cathode last for a layer after those below; `checks` are its own as a program by itself."""
     machine, by_name, found = config.machine, {check.name: check for check in checks}, []
     for name, holds, used in (
         (SPOOL, machine.spool_kg, spent.wire_kg),
@@ -144,7 +144,7 @@ def _used(
     nc: NCProgram, config: Config, amounts: tuple[Floats, Floats], holds: float, name: str, spent: float
 ) -> Consumed:
     """What is used up by motions (B,) and before layers (L,), and where a new one is needed or missing."""
-    # A time that nobody knows is endless.
+    # An unknown time counts as infinite.
     by_motion, before = amounts
     # A motion between layers is of that before, one before all of the first.
     layer, count = np.maximum.accumulate(np.maximum(nc.layer, 0)).astype(np.int64), before.size
@@ -164,8 +164,8 @@ def _used(
 def _changes(
     in_layer: Sequence[float], holds: float, stops: bool, spent: float = 0.0
 ) -> tuple[tuple[int, ...], int | None, float]:
-    """Layers before which a new one is put on, as late as may be, the layer in which it ends nevertheless, and what of the last is
-    used.
+    """Layers before which a new one is put on, as late as possible; the layer in which it runs out nevertheless; and how much of
+    the last is used.
 
     >>> _changes([3.0, 3.0, 2.0, 4.0], 6.0, stops=True), _changes([3.0, 3.0, 2.0, 4.0], 6.0, stops=False)
     (((2,), None, 6.0), ((), 2, 8.0))

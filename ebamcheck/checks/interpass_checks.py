@@ -1,5 +1,5 @@
-"""The heat of a program from its text: its beads, times, waits and power, the balance driven by them, and what keeps the part
-cool."""
+"""Checks of a program's heat from its text: the waits and power that keep the part cool, and the entry temperature of each bead by
+a heat balance."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from ebamcheck.result import Check
 from ebamcheck.settings.config import Config
 
 LONGEST_WAIT_S = 4.0 * 3600.0  # Longest wait that is looked for
-LEAST_SHARE = 1e-6  # Keeps a bead without power from being divided by
+LEAST_SHARE = 1e-6  # Least share of power to divide an energy by: a bead may have none
 OUTLINE_STEP_MM = 0.5  # Chords of contours where no section is known
 LONGEST_S = 86400.0  # A motion or wait of a scan is simulated for a day at most; a negative one not at all
 
@@ -47,9 +47,9 @@ def motion_seconds(nc: NCProgram, config: Config) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class TextBeads:
-    """Beads (P,) of a program in its sequence, one from where the beam comes on to where it goes off. Who reads the text alone need
-    not know which of them are of one island: each is entered, and finds the part as warm as it then is. Waits and moves are those
-    before a bead, `row` its first motion; `stray` are waits within a bead or after the last: (event, what)."""
+    """Beads (P,) of a program in its sequence, each from beam on to beam off. The text alone need not tell which beads are of one
+    island: each bead is entered, and finds the part as warm as it then is. `wait_s` and `move_s` lie before a bead, `row` is its
+    first motion; `stray` lists the waits within a bead or after the last: (event, what)."""
 
     layer: Ints
     ring: Ints
@@ -69,7 +69,7 @@ class TextBeads:
 
     @cached_property
     def enters_layer(self) -> np.ndarray:
-        """Whether each is the first of its layer, (P,)."""
+        """Whether each bead is the first of its layer, (P,)."""
         return np.asarray(np.diff(self.layer, prepend=-1) != 0)
 
     def of_layers(self) -> Iterator[tuple[int, int]]:
@@ -79,11 +79,11 @@ class TextBeads:
 
     @cached_property
     def inner(self) -> np.ndarray:
-        """Whether each is a further bead of the island before, (P,)."""
+        """Whether each bead is a further bead of the same island, (P,)."""
         return np.asarray((self.island >= 0) & (np.diff(self.island, prepend=-1) == 0) & ~self.enters_layer)
 
     def named(self, n: int) -> str:
-        """Name one of them."""
+        """Name bead `n` in a message."""
         if self.enters_layer[n]:
             return f"layer {self.layer[n] + 1}"
         what = f"island {self.island[n]}" if self.island[n] >= 0 else f"ring {self.ring[n]}"
@@ -100,7 +100,7 @@ def text_beads(nc: NCProgram, config: Config) -> TextBeads:
     clock = np.concatenate([[0.0], np.cumsum(seconds)])
 
     def between(late: Ints, early: Ints) -> Floats:
-        """Time between motions (n,) s; endless where a feed of nothing never ends."""
+        """Time between motions (n,) s; infinite where a motion of zero feed never ends."""
         known = np.isfinite(clock[late]) & np.isfinite(clock[early])
         return np.where(known, clock[late] - np.where(known, clock[early], 0.0), np.inf)
 
@@ -151,7 +151,7 @@ def text_bed_k(
 
 
 def _scan(column: HeatColumn, beads: TextBeads, layer: int, config: Config) -> None:
-    """Preheat what stands before a layer, as the text does; the plate was before it begins."""
+    """Preheat what stands under a layer, as the text does; :func:`begun_column` has preheated the bare plate."""
     way = beads.scans.get(layer)
     if way is None or (layer == 0 and config.base_mm == 0.0):
         return
@@ -172,7 +172,7 @@ def sections_of(layers: Layers) -> list[BaseGeometry]:
 
 
 def sections_of_text(nc: NCProgram, config: Config, sections: Sequence[BaseGeometry] | None) -> list[BaseGeometry]:
-    """Sections of the layers of a program: those known where they are as many, else what its contours enclose."""
+    """Sections of the layers of a program: `sections` if there is one for each layer, else what its contours enclose."""
     if sections is not None and len(sections) == len(nc.layer_files):
         return list(sections)
     outlines = sections_of(nc.contours(OUTLINE_STEP_MM))
@@ -180,7 +180,7 @@ def sections_of_text(nc: NCProgram, config: Config, sections: Sequence[BaseGeome
 
 
 def text_shapes(nc: NCProgram, config: Config, sections: Sequence[BaseGeometry] | None) -> list[LayerShape]:
-    """Shapes of the layers of a program, of the sections where they are as many, else of what its contours enclose."""
+    """Shapes of the layers of a program, by the sections of :func:`sections_of_text`."""
     count = len(nc.layer_files)
     sections = sections_of_text(nc, config, sections)
     steps = np.diff(nc.layer_heights, prepend=config.base_mm)
@@ -202,7 +202,7 @@ def build_times_s(nc: NCProgram, config: Config, sections: Sequence[BaseGeometry
 
 
 def _dwell_s(beads: TextBeads, config: Config, shapes: Sequence[LayerShape], lowest: BaseGeometry | None) -> float:
-    """Waits at full power, each found by steps of time that grow by a half."""
+    """Sum of the waits at full power, s; each is found by time steps that grow by a half."""
     limit_k, at_bead = entry_limit_k(config), config.process.interpass_at == "bead"
     column, wait_s = begun_column(beads.scans, lowest, config), np.zeros(len(beads))
     # Ramps are part of the beads: their strongest motion has the full power of its layer.
@@ -253,14 +253,14 @@ def scans_of(nc: NCProgram, config: Config) -> dict[int, BeamWay]:
 
 @dataclass(frozen=True, eq=False)
 class Scanned:
-    """What is preheated before a layer: the body that takes the heat, the region, and Z of its surface over the plate."""
+    """What is preheated before a layer: the body that takes the heat, the region to scan, and its Z over the plate."""
 
     body: BaseGeometry
     region: BaseGeometry
     z_mm: float
 
     def heat(self, column: HeatColumn | None, config: Config) -> SurfaceHeat:
-        """Heat of it on what stands, `column`, which is not changed; None: the bare plate."""
+        """Surface heat of the body on `column`, which is not changed; None stands for the bare plate."""
         column = bare_plate(self.body, config) if column is None else column.copy()
         return SurfaceHeat(column, self.body, self.region, config.process.base_plate_mm + self.z_mm, config)
 
@@ -269,10 +269,10 @@ def scanned(
     sections: Sequence[BaseGeometry], k: int, z_mm: float, config: Config, under: BaseGeometry | None = None,
     spot_share: float = 1.0,
 ) -> Scanned:  # fmt: skip
-    """What the beam's middle may go over before layer `k`, whose bottom lies at `z_mm`, by code of its own. On the plate: as far as
-    `preheat.margin_mm` around the box of the lowest section, half a spot within the plate. On what stands, `under` or the layer
-    below: half a spot within its section. Nowhere nearer to a clamp that is higher than half a spot. The spot counts by
-    `spot_share`, that of the plate wholly."""
+    """Region that the beam's centre may scan before layer `k`, whose bottom lies at `z_mm`, by code of its own. On the plate it
+    spans `preheat.margin_mm` around the box of the lowest section, and stays half a spot within the plate. On what stands,
+    `under` or the layer below, it stays half a spot within its section. It keeps half a spot from every higher clamp. `spot_share`
+    scales the spot, but not at the border of the plate."""
     half_mm = 0.5 * spot_share * config.preheat.spot_mm
     below = under if k == 0 else sections[k - 1]
     if below is not None:
@@ -308,7 +308,7 @@ def scanned_heat(
 
 
 def begun_column(scans: Mapping[int, BeamWay], lowest: BaseGeometry | None, config: Config) -> HeatColumn:
-    """Return the column with which a program begins on the plate: as its text preheats it, cold without."""
+    """Return the column with which a program begins on the plate: preheated as its text says, else cold."""
     column = HeatColumn(config)
     if config.base_mm == 0.0 and 0 in scans and lowest is not None and not lowest.is_empty:
         found = scanned_heat(scans[0], [lowest], 0, 0.0, None, config)
@@ -323,9 +323,9 @@ INTERPASS, AGAIN = "interpass temperature", "balance of the heat"  # Names of tw
 ROOM, ROOM_K, PERCENT = 0.85, 80.0, 0.01
 OVER_RANGE = "over the model's range: metal would boil"  # Of a figure clipped to the boiling point
 COLD = "least entry temperature"  # Name of the check
-# Share of the rise over the chamber that a wait leaves at least, of that of the limit, or of the bead before where that is less. Plans
-# wait for the hottest place of a section, so that its mean is lower: 0.66 of the limit's rise at least, of eleven sections and settings,
-# 0.82 in the demo part. There, two minutes too many leave 0.66 to 0.70, five leave 0.51 to 0.56.
+# Least share of the rise over the chamber that a wait leaves: of the limit's rise, or of the bead's before where it is
+# less. Plans wait for the hottest place of a section, so its mean is lower: at least 0.66 of the limit's rise in eleven
+# sections and settings, 0.82 in the demo part. There, two minutes too many leave 0.66 to 0.70, five leave 0.51 to 0.56.
 WARM_SHARE = 0.6
 
 
@@ -416,7 +416,7 @@ def shares_of_text(nc: NCProgram, config: Config, sections: Sequence[BaseGeometr
     """Share of the power that each layer is to have where no plan is known, (L,): its own, but full where nothing asks for less.
     Power is taken back only where a bead would else be entered above the limit."""
     shares = np.minimum(layer_shares(nc, config), 1.0)
-    # How warm it is what stands under a program, its text does not tell: only the melting of the wire is left to check.
+    # The text does not tell how warm the part under a program is: only the melting of the wire is left to check.
     if config.process.power_schedule != "taper" or config.base_mm > 0.0:
         return shares
     if config.process.interpass not in ("power", "both"):
@@ -451,7 +451,7 @@ def _of(values: Floats, number: Ints) -> Floats:
 
 
 def _entries(nc: NCProgram, beads: TextBeads, bed_k: Floats, checked: Bools, config: Config) -> Check:
-    """Temperature of the surface when a bead is entered, by the balance, against the limit."""
+    """Check the surface temperature when a bead is entered, by the balance, against the limit."""
     limit_k = highest_entry_k(config)
     if not checked.any():
         return Check(INTERPASS, True, 0.0, limit_k, "K", "", "nothing is laid")
@@ -466,7 +466,7 @@ def _entries(nc: NCProgram, beads: TextBeads, bed_k: Floats, checked: Bools, con
 
 
 def _again(nc: NCProgram, beads: TextBeads, sections: Sequence[BaseGeometry], config: Config) -> Check:
-    """The same temperature by a second balance, against the limit and what two of them may differ by."""
+    """Check the same temperature by a second balance, against the limit plus what two balances may differ by."""
     ambient_k, limit_k = config.process.ambient_temperature_k, highest_entry_k(config)
     most_k = limit_k + may_differ_k(config)
     heat_j = beads.energy_j * config.material.absorptivity
@@ -511,8 +511,8 @@ def least_entries_k(beads: TextBeads, bed_k: Floats, config: Config) -> Floats:
 
 
 def cold_check(nc: NCProgram, beads: TextBeads, bed_k: Floats, checked: Bools, config: Config) -> Check:
-    """Temperature of the surface when beads are entered, by the balance of the text, against the least, where it is to be `checked`
-    (P,). What waits longer is entered colder than the power is tapered for, and fuses worse with what lies under it."""
+    """Check the surface temperature when beads are entered, by the balance of the text, against the least, where `checked` (P,).
+    A bead that waits longer is entered colder than the power is tapered for, and fuses worse with what lies under it."""
     least_k = np.where(checked, least_entries_k(beads, bed_k, config), -np.inf)
     if not np.isfinite(least_k).any():
         return Check(COLD, True, 0.0, 0.0, "K", "", "no bead is waited for longer than the settings ask")

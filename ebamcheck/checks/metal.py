@@ -1,8 +1,8 @@
-"""The metal that a program's text lays: a height field layer by layer, the surface that is built up, and the wire of each bead by
-its place.
+"""The metal that a program's text lays: a height field of each layer, the surface that it builds up, and the wire that each place
+of a bead asks for.
 
 Wire section, wire speed and feed give the metal; the pool, a half sphere as wide as the bead, spreads it; a place is levelled over
-a bead width; what is still too high or too low is where the next layer begins. Nothing is taken from what gives the wire of a
+a bead width; the next layer begins on what is still too high or too low. Nothing is taken from the code that gives the wire of a
 program its speed."""
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ NO_ZONES = {
 
 
 def wire_section_mm2(config: Config) -> float:
-    """Area of the circle that the wire is in section."""
+    """Area of the wire's circular cross-section."""
     radius_mm = 0.5 * config.process.wire_diameter_mm
     return math.pi * radius_mm * radius_mm
 
@@ -93,8 +93,8 @@ def bead_sections_mm2(nc: NCProgram, config: Config) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class LayerField:
-    """The metal of one layer in the cells of its target, (rows, columns): height laid, and of the surface over that of the layer,
-    mm."""
+    """The metal of one layer in the cells (rows, columns) of its target: height laid, and height of the surface over that of the
+    layer, mm."""
 
     target: Target
     laid_mm: Floats
@@ -119,7 +119,7 @@ class Asked:
 
 @dataclass(frozen=True, eq=False)
 class Deposit:
-    """What the metal of a program comes to."""
+    """The metal of a program: figures of its layers, closed holes, fields, surface, and narrow features."""
 
     # One row a layer: `layer`, `z_mm`, `wanted_mm3`, `laid_mm3`, `outside_mm3` (beside section and allowance), `inside_mm2` and
     # `edge_mm2` (cells of deep_cells, and the others), `inside` and `edge` (mean height of the metal there over that of the layer; NaN
@@ -158,7 +158,7 @@ class _Melted(NamedTuple):
 
 
 class _Laid(NamedTuple):
-    """Metal of one layer on the surface: cells that melt, heights laid, and of the surface before and after it."""
+    """Metal of one layer on the surface: cells that melt, heights laid, and heights of the surface before and after."""
 
     of: _Melted
     melted: Floats
@@ -275,7 +275,7 @@ def pool_of(bead_width_mm: float, step_mm: float) -> Floats:
 
 
 def _figures(layer: _Laid, process: ProcessSettings) -> dict[str, float]:
-    """Row of one layer in the table of all."""
+    """Row of one layer in :attr:`Deposit.layers`."""
     (of, melted, laid, before, over), target = layer, layer.of.target
     whole, row = float(of.volume.sum()), {"layer": of.k, "z_mm": of.z_mm}
     if not target.share.size:
@@ -319,7 +319,7 @@ def _wall(section: BaseGeometry, figures: dict[str, float], process: ProcessSett
 
 
 def over_limits(figures: dict[str, float], process: ProcessSettings) -> float:
-    """Surface, reach and worst window of a layer over their limits: the greatest of the three."""
+    """Greatest of three ratios of a layer: its surface, reach and worst window, each over its limit."""
     off = zone_off(figures["zone_settled"], figures["zone_owed"])
     zone = float(off / zone_limit(figures["zone_tolerance"], figures["zone_mm2"], process))
     return max(
@@ -422,14 +422,14 @@ def zone_figures(
 
 
 def zone_off(height: ArrayLike, owed: ArrayLike) -> Floats:
-    """How far mean heights of levelled metal, in layers, are off one layer, and off what would make the surface right."""
+    """Distance of mean levelled heights, in layers, from the range between one layer and the height that the surface is owed."""
     height, owed = np.asarray(height, np.float64), np.asarray(owed, np.float64)
     over, under = height - np.maximum(owed, 1.0), np.minimum(owed, 1.0) - height
     return np.asarray(np.maximum(np.maximum(over, under), 0.0), np.float64)
 
 
 def zone_limit(tolerance: Floats | float, area_mm2: ArrayLike, process: ProcessSettings) -> Floats:
-    """What zones may be off by: the tolerance of all of them, and half a line over the lines that are side by side in one."""
+    """Limit of :func:`zone_off`: the tolerance of a zone, plus half a line over the number of lines side by side in it."""
     width_mm = np.sqrt(np.maximum(np.asarray(area_mm2, np.float64), process.bead_width_mm**2))
     return np.asarray(tolerance + HALF_LINE * process.hatch_spacing_mm / width_mm, np.float64)
 
@@ -445,7 +445,7 @@ def _asked(nc: NCProgram, layer: _Laid, bead_mm2: Floats, config: Config) -> Ask
     bead_mm, step = config.process.bead_width_mm, target.step_mm
     pool, strip = pool_of(bead_mm, step), strip_of(bead_mm, step)
     over, laid = layer.before / height, layer.laid / height
-    # What levels the surface is moved within the layer, whose metal is that of the part.
+    # Levelling moves metal within the layer, whose total stays that of the part.
     level = over - float(np.average(over, weights=target.share))
     level = 1.0 - np.clip(TO_LEVEL * level, -MOST_TO_LEVEL, MOST_TO_LEVEL)
     fields = target.share * np.minimum(level, 1.0), target.share * np.maximum(level, 1.0)

@@ -1,4 +1,4 @@
-"""Checks of the path that a program's text commands against what it was made from."""
+"""Checks of the path that a program's text commands: contours against fitted curves, hatch against the plan, layers against Z."""
 
 from __future__ import annotations
 
@@ -169,20 +169,20 @@ def contour_checks(subject: Subject) -> list[Check]:
 
 
 def _chord_counts(points: Floats, most_mm: float) -> Ints:
-    """Chords (n,) by which curves, (n, m, 2) at equal steps of their parameter, are met within a distance: they err by the second
-    difference over 8."""
+    """Number of chords (n,) that keep curves, (n, m, 2) at equal steps of their parameter, within a distance: chords err by the
+    second difference over 8."""
     bend = np.linalg.norm(np.diff(points, n=2, axis=1), axis=2).max(axis=1, initial=0.0) / 8.0
     return 1 + np.asarray((points.shape[1] - 1) * np.sqrt(np.nan_to_num(bend) / most_mm), np.int64)
 
 
 def _along(chords: Ints) -> tuple[Ints, Floats]:
-    """Index and parameter of each end of so many chords (n,) of curves, in order."""
+    """Curve and parameter of each chord end, in order, for curves of `chords` (n,) chords."""
     index = np.repeat(np.arange(chords.size), chords + 1)
     return index, (np.arange(index.size) - (np.cumsum(chords + 1) - chords - 1)[index]) / chords[index]
 
 
 def _grouped(ring: Ints, count: int) -> list[Ints]:
-    """Places of each ring's own in a column, rising."""
+    """Rising indices of each ring's rows in a column."""
     return np.split(np.argsort(ring, kind="stable"), np.cumsum(np.bincount(ring, minlength=count))[:-1])
 
 
@@ -221,7 +221,7 @@ def _group_faults(
 def _same_parameters(
     nc: NCProgram, rows: Ints, driven: Floats, spans: FittedSpans, fitted: Floats, count: int
 ) -> tuple[Floats, Bools]:
-    """Largest distance of each motion from its span (n,), and the rings (R,) where blocks answer to spans."""
+    """Largest distance of each motion from its span (n,), and whether each ring (R,) has one block per span."""
     kind = np.full(rows.size, -1)
     for piece, names in ((LINE, [STRAIGHT]), (SPLINE, [POLYNOMIAL, SPLINE_SPAN]), (ARC, [motions.ARC])):
         kind[np.isin(nc.kind[rows], names)] = piece

@@ -28,11 +28,11 @@ from ebamcheck.slicers.slicing import slice_part
 
 NAMES = ("table limits", "table turns", "table height", "frame", "frame taken back")
 STEP_DEG = 1.0  # Steps of a turn: at 500 mm they lie 9 mm apart, and 0.02 mm over the chord
-PLACE_MM = 2e-3  # Heights are rounded to the decimals of a program, at their coarsest
+PLACE_MM = 2e-3  # Tolerance of heights, which a program rounds to its decimals, at their coarsest
 LIMIT_DEG = 1e-6  # Rounding of a position
-STEP_MM = 1.0  # Distance of the places of what stands; of larger ones as many as MOST_PLACES
+STEP_MM = 1.0  # Distance of places on what stands; a larger part has about MOST_PLACES of them
 MOST_PLACES = 4_000_000
-LEAST_MM2 = 1.0  # Area of a section within what stands that is no more than its border
+LEAST_MM2 = 1.0  # Overlap of a section with what stands that is no more than its border
 FAR_MM = 1e6
 SAME_MM = 1e-6  # Largest difference between the places of a part in two mountings that count as the same
 
@@ -94,7 +94,7 @@ def _turns(full: NCProgram, table: TableColumns) -> Iterator[tuple[str, str]]:
 
 
 def _height(full: NCProgram, table: TableColumns, config: Config) -> Check:
-    """What the tip lacks of the clearance over all that the table carries: while it turns, and on ways beside a layer."""
+    """Check the tip's clearance over all that the table carries: while it turns, and on ways beside a layer."""
     if config.part.on_table is None:
         return Check(NAMES[2], True, 0.0, 0.0, "mm", "", "no part is said to stand on the table")
     corners = carried_corners(config)
@@ -163,7 +163,7 @@ class Stands:
 
     @property
     def up(self) -> tuple[Floats, float]:
-        """Direction n of the layers before and a number d, now: a place p lies n . p - d over the plate."""
+        """Build direction n of the layers before, and offset d, as the part lies now: a place p lies n . p - d over the plate."""
         n = self.turn[2]
         return n, float(n @ self.shift)
 

@@ -261,13 +261,13 @@ def header_checks(nc: NCProgram, config: Config, truth: Truth, heights: ArrayLik
 
 
 def status_check(nc: NCProgram, truth: Truth) -> Check:
-    """Check that every file that has a status says the same, and what was recorded of it."""
+    """Check that main program and layers have a status where any file has, the same in all, and the recorded one."""
     said = [(file, *_status_of(file)) for file in nc.files]
     told = [(file, status, line) for file, status, line in said if status is not None]
     faults = [
         (f"{file.name}:1", "has comments and no status in its first lines")
         for file, status, _ in said
-        if status is None and _LAYER.search(file.data) is not None
+        if status is None and (_LAYER.search(file.data) is not None or (told and file is nc.files[0]))
     ]
     most = 2 * sum(status for _, status, _ in told) > len(told)
     wanted = most if truth.validated is None else truth.validated

@@ -1,4 +1,4 @@
-"""How commands end (errors become one line and an exit code), and the commands that plugins add."""
+"""The group of all commands: their order in the help, those that plugins add, and how they end (one line and an exit code)."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ class CommandGroup(TyperGroup):
             if is_house(point):
                 function = point.load()
             else:
-                # A stranger's is loaded once it has come through a process of its own.
+                # A stranger's command is loaded here only after it has loaded in another process.
                 from ebamcheck.plugins import registry
 
                 function = registry.load(point)
@@ -214,7 +214,7 @@ def _said(error: BaseException) -> str:
 
 
 def tell(message: str, ended: bool = False) -> None:
-    """Print a message as one line on standard error, where a command has ended after the traceback if one is wanted."""
+    """Print a message as one line on standard error; if a command has `ended`, after the traceback that the user asks for."""
     if ended and os.environ.get("EBAMCHECK_DEBUG"):
         traceback.print_exc()
     typer.echo(f"ebamcheck: {printable(' '.join(message.split()))}", err=True)

@@ -1,4 +1,4 @@
-"""``ebamcheck machine RUN``: a control to try a build on: it calls the released layers, and measures what grew."""
+"""``ebamcheck machine RUN``: plays a control to try a build on, which calls the released layers and measures what grew."""
 
 from __future__ import annotations
 
@@ -113,7 +113,7 @@ def machine_command(
 
 
 def _started(words: Sequence[object], program: PlayedProgram) -> Callable[[], object]:
-    """Start a command of ours, and return what waits for its end; where that is an error, the program stops, too."""
+    """Start an ebamcheck command, and return a function that waits for its end; if the command fails, the program stops."""
     process = subprocess.Popen([sys.executable, "-c", START, *map(str, words)], stdout=subprocess.DEVNULL)
 
     def watch() -> None:

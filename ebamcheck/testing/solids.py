@@ -1,8 +1,8 @@
-"""Small closed solids on which slicers are tested, and their exact sections by plain means: segments, polygons of their
-arrangement, winding numbers.
+"""Small closed solids on which slicers are tested, and their exact sections by plain means: segments, polygons between them,
+winding numbers.
 
-Those of :data:`SIMPLE` bound one winding number, so any slicer should take them. Sections share no code with a slicer; time goes
-with segments squared."""
+Solids of :data:`SIMPLE` have one winding number, so any slicer should take them. Sections share no code with a slicer; their time
+grows with the square of the number of segments."""
 
 from __future__ import annotations
 
@@ -126,14 +126,14 @@ def sphere(radius_mm: float = 10.0, rows: int = 12, around: int = 24) -> Part:
 
 
 def torus(major_mm: float = 12.0, minor_mm: float = 4.0, around: int = 30, across: int = 14) -> Part:
-    """Torus about z, generic in z but for its rows of vertices."""
+    """Torus about z; planes meet vertices only at the heights of its rows."""
     angle = 0.05 + 2.0 * math.pi * np.arange(across) / across
     profile = [(major_mm + minor_mm * math.cos(a), minor_mm * math.sin(a)) for a in angle]
     return revolved(profile, around, closed=True)
 
 
 def steps() -> Part:
-    """A block with a terrace and a pit: level faces that look up at 3, 5 and 8 mm, and down at 0 and 2 mm."""
+    """A block, a tower on it and a box apart: level faces that look up at 3, 5 and 8 mm, and down at 0, 2 and 5 mm."""
     block = box((0, 0, 0), (20, 14, 5))
     tower = box((4, 3, 5), (11, 9, 8))
     return joined(block, tower, box((25, 0, 2), (31, 6, 3)))
@@ -190,7 +190,7 @@ def simple(name: str) -> Part:
 
 # -- solids made to break a bound ----------------------------------------------------------------------
 
-WIDTHS = (0.35, 0.7, 0.95, 1.2, 1.5, 1.8, 1.95, 2.05, 2.2, 2.6, 3.2)  # over the bound; twice is kept
+WIDTHS = (0.35, 0.7, 0.95, 1.2, 1.5, 1.8, 1.95, 2.05, 2.2, 2.6, 3.2)  # over the bound; those over 2 are kept
 REPEATS = 9  # times that each width occurs, at another place between the samples of a slicer
 GOLDEN = 0.6180339887498949  # steps by this share of a sample visit all places between samples evenly
 
@@ -213,7 +213,7 @@ def _strips(bound_mm: float) -> list[BaseGeometry]:
 
 
 def _turned(pieces: Sequence[BaseGeometry], degrees: float) -> list[BaseGeometry]:
-    """Turn pieces about the middle of the frame; they are drawn in by what the turn needs."""
+    """Turn pieces about the middle of the frame, and shrink them to 0.66 so that they stay inside it."""
     middle = 0.5 * FRAME_MM
     c, s = 0.66 * math.cos(math.radians(degrees)), 0.66 * math.sin(math.radians(degrees))
     matrix = np.array([[c, -s], [s, c]])

@@ -1,4 +1,4 @@
-"""The kit as a pytest class; the only module of the kit that imports pytest."""
+"""The test kit as pytest classes, one for slicers and one for controls; the only module of the kit that imports pytest."""
 
 from __future__ import annotations
 

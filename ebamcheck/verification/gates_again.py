@@ -61,7 +61,7 @@ OF_TEXT_ALONE |= {name for rule in RULES if {"beads", "part"} & {*rule.needs} fo
 
 @dataclass(frozen=True)
 class Again:
-    """What a run came to when it was worked out again."""
+    """Gates, checks and findings of a run that was worked out again."""
 
     witness: str  # Slicer that cut the part anew
     gates: tuple[Check, ...]
@@ -223,7 +223,7 @@ def _other_figures(found: Mapping[str, Any], manifest: Mapping[str, Any]) -> lis
 
 
 def _differing(recorded: Any, found: Any, at: str = "") -> list[str]:
-    """Where a record says another figure than the one found, of the keys that it has."""
+    """Keys of a record whose figure differs from the one found."""
     if isinstance(recorded, Mapping) and isinstance(found, Mapping):
         both = [key for key in recorded if key in found]
         pairs = [(recorded[key], found[key], f"{at}.{key}".strip(".")) for key in both]
@@ -319,7 +319,7 @@ def text_again(
 
 
 def truth_of(manifest: Mapping[str, Any]) -> Truth:
-    """What a run's record tells of its program, against which its header is held, by the settings as recorded: a version may have
-    more."""
+    """What a run's record says of its program, to compare with the program's header; settings are as recorded, since a later
+    version may have more."""
     validated = bool(manifest["program"]["validated"])
     return Truth(validated, manifest["part"]["sha256"], sha256_of_json(manifest["settings"]))

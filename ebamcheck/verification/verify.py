@@ -60,8 +60,8 @@ def verify(
     trusted
         Files and folders of public keys (``*.pub``); if any are given, one of them must have signed the certificate.
     whole
-        Of a program that begins at a layer: the run folder or program that it is the end of, which is checked in its place; and
-        that all motions are those of it.
+        For a program that begins at a layer: the run folder or program whose end it is. That one is checked in its place, and
+        all motions must be those of its end.
 
     Returns
     -------
@@ -259,8 +259,8 @@ def verify_against_part(
 
 
 def _turned(program: Path, path: Path, part: Part, layers: Layers, config: Config) -> list[Check]:
-    """What a part that is turned on a tilt table has to meet, by its mesh: its mounting, and what stands; nothing for one that is
-    not."""
+    """Check a part that is turned on a tilt table, by its mesh: its mounting, and what stands; nothing for a part that is not
+    turned."""
     said = config.part.on_table
     if said is None:
         return []

@@ -1,5 +1,5 @@
-"""Starts and ends of beads: seams that move on, contours that overlap their start, and a beam that ramps, by cuts that keep the
-curve."""
+"""Starts and ends of beads: shifts seams from layer to layer, overlaps the start of contours, and ramps the beam, by cuts that keep
+the curve."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from ebamcheck.writing.segments import Form, bezier_places
 from ebamcheck.writing.tracks import Toolpath, toolpath
 from ebamcheck.writing.wire import with_wire
 
-# Places, each one shift further along, of which the first that lies apart is taken, or the farthest.
+# Places to try, each a shift further along: the first apart from the seams below is taken, else the farthest.
 TRIES = 8
 NO_SEAMS: Floats = np.zeros((0, 2))  # Seams under the lowest layer of a part
 
@@ -32,15 +32,15 @@ def driven_path(
 
 
 def planned_path(curves: CurveColumns, plan: ScanColumns, config: Config) -> Toolpath:
-    """Lay out the tracks of a stack in the form of curves that the control gets, by which lengths, and places of wire, differ a
-    little."""
+    """Lay out the tracks of a stack in the form of curves that the control gets; lengths and places of wire differ a little between
+    forms."""
     machine = config.machine
     form = written_form(machine)
     return driven_path(curves, plan, config, machine.printed_decimals, form, machine.line_tolerance_mm)
 
 
 def written_form(machine: MachineSettings) -> Form:
-    """What becomes of splines in the program for a control."""
+    """Form in which the program of a control carries splines."""
     forms: dict[str, Form] = {"arcs": "arcs", "lines": "chords"}
     return forms.get(machine.curve_form) or control(machine.control).splines
 
@@ -60,7 +60,7 @@ def with_bead_ends(path: Toolpath, process: ProcessSettings, decimals: int, belo
 
 
 def uppermost_seams(path: Toolpath, process: ProcessSettings, below: Floats) -> Floats:
-    """Seams (n, 2) of the uppermost layer of a path before its beads are started; `below` as of :func:`with_bead_ends`."""
+    """Seams (n, 2) of the uppermost layer of a path that has no bead ends yet; `below` is that of :func:`with_bead_ends`."""
     if process.seam_shift_mm <= 0.0 or not path.kind.size:
         return below
     return _seams(path, process, Tracks.of(path), below)[1]
@@ -76,7 +76,7 @@ def _stretches(tracks: Tracks, seams: Floats, process: ProcessSettings) -> Stret
     ramps = process.ramp_up_mm + process.crater_fill_mm
     share = np.minimum(1.0, total / ramps) if ramps > 0.0 else np.zeros(total.size)
     up, down = share * process.ramp_up_mm, share * process.crater_fill_mm
-    # Places along what is driven of a track, which begins at its shift.
+    # Places along the driven length of a track, which begins at its shift.
     steps = np.arange(process.ramp_steps + 1) / process.ramp_steps
     places = [np.zeros(whole.size), whole - shift, 2.0 * whole - shift, whole, total]
     places += [up * s for s in steps] if process.ramp_up_mm > 0.0 else []
@@ -94,8 +94,8 @@ def _stretches(tracks: Tracks, seams: Floats, process: ProcessSettings) -> Stret
 
 
 def ramp_power(from_start: Floats, to_end: Floats, up_mm: Floats, down_mm: Floats, process: ProcessSettings) -> Floats:
-    """Share of the full power at places on beads, (n,), by mm from its start and to its end: the middle of each step of its
-    ramps."""
+    """Share of the full power (n,) at places on beads, by their distance from the start and to the end, mm: a ramp step has the
+    power of its middle."""
     power = np.ones(from_start.size)
     for along, length in ((from_start, up_mm), (to_end, down_mm)):
         share = np.divide(along, length, out=np.ones_like(along), where=length > 0.0)
@@ -129,7 +129,7 @@ def _seams(path: Toolpath, process: ProcessSettings, tracks: Tracks, below: Floa
 
 
 def _places(points: Floats, lengths: Floats) -> tuple[Floats, Floats]:
-    """Places (n, 2) along a track, one a millimetre, and their lengths (n,) along it; within a curve as if it were even."""
+    """Lengths (n,) along a track, at least one a millimetre, and their places (n, 2); a curve counts as evenly parametrised."""
     count = np.maximum(np.ceil(lengths).astype(np.int64), 1)
     segment = np.repeat(np.arange(lengths.size), count)
     t = (np.arange(segment.size) - np.repeat(np.cumsum(count) - count, count)) / count[segment]

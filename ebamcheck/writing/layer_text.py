@@ -1,4 +1,4 @@
-"""Blocks of one layer, alike for every control: travel, beam and wire, the motions of each track, and the preheating before it."""
+"""Writes the blocks of one layer, which all controls share: travel, beam, wire, waits, motions of each track, and preheating."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ from ebamcheck.writing.tracks import Toolpath
 
 
 def motion_text(path: Toolpath, form: BlockFormat, cubics: Sequence[str]) -> list[str]:
-    """Text of every segment (N,): G1, G2, G3, and for cubic ones an entry of `cubics`: several lines, or none where another carries
-    it."""
+    """Return the text of every segment (N,): G1, G2 or G3; a cubic segment takes its entry of `cubics`, which has several lines, or
+    none where another entry carries it."""
     text = np.empty(path.kind.size, dtype=object)
     straight, round_ = path.kind == STRAIGHT, path.kind == CIRCULAR
     text[straight] = form.lines(path.end[straight])
@@ -40,7 +40,7 @@ def motion_text(path: Toolpath, form: BlockFormat, cubics: Sequence[str]) -> lis
 
 @dataclass(frozen=True, eq=False)
 class Post:
-    """What the blocks of one program are written from."""
+    """Plan, settings, toolpath and templates from which the blocks of one program are written."""
 
     plan: ScanColumns
     config: Config
@@ -55,7 +55,7 @@ class Post:
         cls, curves: CurveColumns, plan: ScanColumns, config: Config, control: Control, splines: Form,
         path: Toolpath | None,
     ) -> Post:  # fmt: skip
-        """Take templates and tracks as the control gets them; `path` are the tracks where they are laid out already."""
+        """Take templates and tracks as the control gets them; `path` holds the tracks if they are laid out already."""
         machine = config.machine
         templates, form = usable_templates(config, control.name), BlockFormat(machine.printed_decimals)
         path = path or driven_path(curves, plan, config, form.decimals, splines, machine.line_tolerance_mm)
@@ -89,8 +89,8 @@ def layer_blocks(
 ) -> list[str]:  # fmt: skip
     """Blocks of layer `k`: contour rings and islands, each track between beam on and beam off, and the waits.
 
-    It begins with the modes `entry` and its own power, so that the control can enter the program there; the blocks of `around` come
-    before its first way and after its last."""
+    The layer begins with the modes `entry` and its own power, so that the control can enter the program there; the blocks of
+    `around` come before its first travel and after its last."""
     path, heat, templates = post.path, post.heat, post.templates
     values, share = post.values(k), float(post.heat.power_share[k])
     layer = _Layer(post, k)
@@ -110,7 +110,7 @@ def layer_blocks(
 
 
 def pause_blocks(values: ProcessValues, templates: Templates, wait_s: float) -> list[str]:
-    """Blocks that wait for a time; none for no time."""
+    """Return the blocks that wait for `wait_s`; none if it is not positive."""
     if wait_s <= 0.0:
         return []
     return replace(values, layer_pause_s=wait_s).fill("layer_pause", templates["layer_pause"])
@@ -171,7 +171,7 @@ class _Layer:
         self.lines.append(rise)
 
     def _switches(self, group: int) -> list[str]:
-        """Blocks of the moment: those that set power (0) or wire speed (1), or those before (2) and after a bead (3)."""
+        """Blocks at the current power and wire: group 0 sets power, 1 sets wire speed, 2 starts a bead, 3 ends it."""
         power, wire = self._asked[group]
         key = (group, self._power if power else 0.0, self._wire if wire else 0.0)
         if key not in self._blocks:
@@ -181,7 +181,7 @@ class _Layer:
         return self._blocks[key]
 
     def _feed(self, share: float) -> str:
-        """Word of the feed at a share of that of the process."""
+        """Feed word at a share of the process feed."""
         if share not in self._feeds:
             values = replace(self._values, feed_mm_min=self._values.feed_mm_min * share)
             self._feeds[share] = f" F{plain(values.printed('feed_mm_min'))}"
@@ -194,8 +194,8 @@ class _Layer:
             self._position = None
 
     def _set(self, power: float, wire: float) -> None:
-        """Set beam and running wire to shares of those of the layer, where the control has a step as small as what they differ
-        by."""
+        """Set beam and running wire to shares of the layer's; write no block where the difference is under the control's
+        step."""
         if power != self._power:
             before, self._power = self._switches(0), power
             self.lines += [] if before == (now := self._switches(0)) else now
@@ -208,7 +208,7 @@ class _Layer:
     ) -> None:
         """Travel to `start`, beam and wire on, `motions` each at its power, wire and feed, wire and beam off at `end`."""
         if not any(motions):
-            return  # all of it lies within a rounding: the beam would stand
+            return  # all motions lie within one rounding: the beam would stand still
         self._travel(start)
         self._wire = float(wire[0])
         self._set(float(power[0]), self._wire)
@@ -221,7 +221,7 @@ class _Layer:
             blocks = [line for text in motions[a:b] if text for line in text.split("\n")]
             own = self._feed(float(feed[a]))
             if blocks and own != said:
-                # Before the comment that a block may end with.
+                # The feed goes before the comment that may end a block.
                 code, mark, note = blocks[0].partition(" ;")
                 blocks[0], said = code + own + mark + note, own
             self.lines += blocks
@@ -239,7 +239,7 @@ class _Layer:
 
 
 def preheat_passes(plan: ScanColumns) -> Ints:
-    """Passes (L,) before each layer of a plan; none of one that knows nothing of preheating."""
+    """Return the preheating passes (L,) before each layer of a plan; zeros for a plan without preheating."""
     none = np.zeros(len(plan.heights), np.int64)
     return np.asarray(getattr(plan, "metrics", {}).get("preheat_passes", none), np.int64)
 
@@ -247,9 +247,9 @@ def preheat_passes(plan: ScanColumns) -> Ints:
 def preheat_blocks(
     post: Post, k: int, passes: int, values: ProcessValues, after: ProcessValues, entry: Sequence[str]
 ) -> list[str]:
-    """Blocks of the scan before layer `k`: its modes, values of beads at full power, and `after` it.
+    """Return the blocks of the scan before layer `k`: `entry` are its modes, `values` have full power, `after` follow it.
 
-    Within the subprogram of its layer the focus is the last that is taken back, since it tells where the scan ends.
+    Inside the layer's subprogram the scan takes the focus back last, because that block tells where the scan ends.
     """
     plan, config, form, templates = post.plan, post.config, post.form, post.templates
     bottom_mm = values.height_mm

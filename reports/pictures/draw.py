@@ -152,7 +152,7 @@ def metal(program: NCProgram, witness: Layers, config: Config, what: str) -> str
 
 
 def orders(exact: Layers, config: Config, what: str) -> dict[str, str]:
-    """All orders of the root layer, `random` as in the table by its mean, and the ranks of the default one."""
+    """Pictures of all orders of the root layer, `random` by its mean as in the table, and of the ranks of `thermal`."""
     height_mm = float(exact.heights[ROOT_LAYER])
     compared = OrderComparison.of(exact.polygons(ROOT_LAYER), config, ROOT_LAYER, height_mm)
     rows = [figures_of(name, compared.results(name, SEEDS)) for name in compared_orders()]

@@ -1,5 +1,5 @@
 """A played control as an OPC UA server: R parameters on a grid of 100 ms, file upload, users, rights, a limit of sessions;
-and the desk with its faults."""
+and the keys, profile and faults to try it with."""
 
 from __future__ import annotations
 
@@ -133,7 +133,7 @@ class PlayedServer:
                 await self.stop()
 
     async def away(self, seconds: float, full_s: float = 0.0) -> None:
-        """Be away for a time, as a control that is switched off, and then without a session left for another."""
+        """Be away for `seconds`, like a control that is switched off; then refuse every new session for `full_s`."""
         from asyncua.server.binary_server_asyncio import BinaryServer
         from asyncua.server.internal_session import InternalSession
 

@@ -1,4 +1,4 @@
-"""Partition and order: how the section is filled, in which order, how warm it gets, and the picture of a layer's islands."""
+"""Report section on partition and order: how beads fill each layer, in which order, how warm it gets, and pictures of islands."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ WHAT = (
 
 
 def render(run: RunData) -> Markup:
-    """Metrics, pictures of layers, and the time of each."""
+    """Render metrics, pictures of layers, coverage, times and heat."""
     plan = run.plan
     if plan is None:
         none = paragraph("There was no contour to fill.", class_="note bad")
@@ -172,7 +172,7 @@ def _heat(run: RunData, plan: ScanPlan) -> list[Markup]:
 
 
 def _build_times(run: RunData) -> list[Markup]:
-    """Time of the program beside that without measures and with waits alone."""
+    """Build time as programmed, beside the times without waits and with waits alone at full power."""
     times = run.part_of("heat").get("build_s", {})
     named = {
         "without_measures": "build time without waits and at any power: too hot where the gate would shut",
@@ -212,7 +212,7 @@ def _measures(plan: ScanPlan, metrics: pd.DataFrame) -> list[Markup]:
 
 # -- picture of a layer ----------------------------------------------------------------------------
 
-# Most islands that are numbered, and most between which the way is drawn: more would cover the picture
+# Most islands that get numbers, and most that get arrows between them: more would cover the picture
 MOST_NUMBERS, MOST_ARROWS = 150, 600
 BEAD, LINE, WAY, THIN, SECTION = "#0072b2", "#555555", "#d81b60", "#d55e00", "#000000"
 LEGEND = (
@@ -227,7 +227,7 @@ LEGEND = (
 
 
 def draw(plan: ScanPlan, section: Layers | None, layer: int, bead_width_mm: float, title: str) -> Markup:
-    """Draw a layer's islands in the colour of their rank, lines, contour beads and order, and the section to be filled."""
+    """Draw a layer: islands coloured by rank, hatch lines, contour beads, the way between islands, and the section to fill."""
     islands, region = plan.islands_of(layer), plan.contours[layer]
     outlines = [] if section is None else [outline(section, r) for r in section.rings_of(layer)]
     canvas = Canvas.of(_corners([region, *plan.islands[islands]], bead_width_mm, outlines), 880.0)
@@ -258,7 +258,7 @@ def draw(plan: ScanPlan, section: Layers | None, layer: int, bead_width_mm: floa
 
 
 def _corners(shapes: list[Any], bead_width_mm: float, outlines: list[Floats]) -> Floats:
-    """Corners of the box about beads and section."""
+    """Points whose bounding box holds all beads and the section."""
     pad = 0.5 * bead_width_mm
     bounds = [np.add(shapely.bounds(s), (-pad, -pad, pad, pad)).reshape(2, 2) for s in shapes if not s.is_empty]
     return np.concatenate([*bounds, *outlines] or [np.array([[-0.5, -0.5], [0.5, 0.5]])])
