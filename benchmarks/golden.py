@@ -21,7 +21,8 @@ import numpy as np
 import pandas as pd
 import pyarrow.parquet as pq
 
-from benchmarks.faults.honest import LISTED, SETTINGS, SINUMERIK
+from benchmarks.faults.honest import LISTED, SETTINGS
+from benchmarks.faults.kinds import SINUMERIK
 from benchmarks.faults.subjects import EVERY, TESSELLATION_MM, Subject
 from ebamcheck.pipeline import run_job
 from ebamcheck.plugins.registry import models
