@@ -56,8 +56,10 @@ function toggled(list, names) {
 
 /** Draw everything by the state, and write it into the address. */
 function show() {
-  draw(view, layer, state, index);
-  if (marked) mark(view, marked);
+  if (view.canvas.clientWidth && view.canvas.clientHeight) {
+    draw(view, layer, state, index);
+    if (marked) mark(view, marked);
+  }
   if (solid && !parts.solid.hidden) solid.draw(layer, state);
   strip();
   const boxes = (/** @type {HTMLLabelElement[]} */ labels, /** @type {string[]} */ names, /** @type {string[]} */ on) =>
