@@ -161,6 +161,13 @@ def test_an_arc_whose_radii_differ_is_refused(tmp_path):
         read(tmp_path, "G1 X0 Y0 F600\nG3 X11 Y10 I0 J10\n")
 
 
+def test_an_arc_longer_than_its_circle_is_refused(tmp_path):
+    with pytest.raises(InputError, match=r"TEST\.MPF:4:1: no circle of that radius"):
+        read(tmp_path, "G1 X0 Y0 F600\nG2 X10.001 CR=5\n")
+    nc = read(tmp_path, "G1 X0 Y0 F600\nG2 X9.999 CR=5\n")
+    assert nc.end[-1, 0] == pytest.approx(9.999)
+
+
 @given(st.lists(st.floats(-50, 50), min_size=6, max_size=6))
 @settings(max_examples=60, deadline=None)
 def test_extremes_and_lengths_against_dense_sampling_and_quadrature(tmp_path_factory, numbers):
