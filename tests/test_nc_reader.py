@@ -162,7 +162,7 @@ def test_an_arc_whose_radii_differ_is_refused(tmp_path):
 
 
 def test_an_arc_longer_than_its_circle_is_refused(tmp_path):
-    with pytest.raises(InputError, match=r"TEST\.MPF:4:1: no circle of that radius"):
+    with pytest.raises(InputError, match=r"TEST\.MPF:4:1: CR=5: no circle of that radius"):
         read(tmp_path, "G1 X0 Y0 F600\nG2 X10.001 CR=5\n")
     nc = read(tmp_path, "G1 X0 Y0 F600\nG2 X9.999 CR=5\n")
     assert nc.end[-1, 0] == pytest.approx(9.999)
