@@ -12,8 +12,11 @@ import pytest
 import shapely
 from hypothesis import HealthCheck, given, settings, target
 from hypothesis import strategies as st
+from section_oracle import simple_sections
 
+import ebamcheck
 from ebamcheck.plugins import registry
+from ebamcheck.slicers.slicing import slice_part
 from ebamcheck.testing import Subject, solids
 from ebamcheck.testing.accuracy import LOOSEST
 from ebamcheck.testing.laws import LARGE_OFFSET_MM
@@ -121,3 +124,20 @@ def test_no_searched_outline_breaks_the_bound(method, count):
 
     searched()
     assert worst[0] > 0.1
+
+
+@pytest.mark.corpus
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["embree", "stencil"])
+def test_areas_of_real_meshes_are_within_the_bound(name, corpus):
+    if not registry.probe(name).available:
+        pytest.skip(registry.probe(name).why)
+    slicer, compared = registry.slicer(name), 0
+    for file, rows in simple_sections(corpus).items():
+        part = ebamcheck.load(corpus / file)
+        areas = slice_part(part, [float(row["z"]) for row in rows], name).areas()
+        bound = slicer.error_bound_mm(part, slicer.Settings())
+        for area, row in zip(areas, rows, strict=True):
+            assert abs(area - float(row["signed_area"])) <= bound * float(row["perimeter"]), (file, row["z"])
+        compared += len(rows)
+    assert compared > 100
