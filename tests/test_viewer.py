@@ -20,7 +20,7 @@ from ebamcheck.nc.reader import read_program
 from ebamcheck.record.run_folder import RunFolder
 from ebamcheck_reports.run_data import RunData
 from ebamcheck_viewer.columns import packed, packed_text
-from ebamcheck_viewer.contents import Contents, of_files, of_run
+from ebamcheck_viewer.contents import SHARE, Contents, notes, of_files, of_run, strips
 from ebamcheck_viewer.page import document
 
 
@@ -184,3 +184,27 @@ def test_the_page_holds_what_its_sources_are_bundled_to(tmp_path: Path) -> None:
     ]
     subprocess.run([esbuild, *words], cwd=viewer, check=True, capture_output=True)
     assert (tmp_path / "v.js").read_bytes() == (viewer / "ebamcheck_viewer" / "dist" / "viewer.min.js").read_bytes()
+
+
+def test_a_layer_over_a_limit_of_nothing_is_the_worst(plate: Path) -> None:
+    run = RunData(RunFolder(plate))
+    pairs = run.pair_table.copy()
+    one = pairs["layer"] == 2
+    pairs.loc[one, ["gated", "depth_mm", "limit_mm"]] = [True, 0.01, 0.0]
+    run.__dict__["pair_table"] = pairs
+    share = next(strip for strip in strips(run) if strip["gate"] == "agreement")["share"]
+    assert share[1] == max(share) > 1.0 / SHARE
+
+
+@pytest.mark.parametrize(
+    ("place", "at"),
+    [("layer 3, (1.5, -2.25)", [1.5, -2.25]), ("(1.2.3, 4)", None), ("(-., 1)", None), ("(1, 2, 3)", [1.0, 2.0])],
+)
+def test_places_in_words_are_found_or_left_alone(plate: Path, place: str, at: list[float] | None) -> None:
+    run = RunData(RunFolder(plate))
+    run.__dict__["manifest"] = {
+        **run.manifest,
+        "findings": [{"code": "a", "severity": "note", "text": "b", "place": place}],
+    }
+    note = next(note for note in notes(run) if note["kind"] == "finding")
+    assert note.get("at") == at

@@ -28,6 +28,7 @@ from ebamcheck_reports.run_data import RunData
 from ebamcheck_viewer.columns import STEP_MM, packed, packed_text, quantised
 
 SHARE = 1e-4  # step of the shares of limits in the strip beside the layers
+MOST_SHARES = 1000.0  # what is farther over its limit, or has a limit of 0, is told as this
 SECOND = 1e-3
 WATT = 0.1
 
@@ -270,7 +271,8 @@ def _strip(
     place: pd.DataFrame | None = None,
     of: Sequence[str] = (),
 ) -> dict[str, Any]:
-    share, figure = np.nan_to_num(np.asarray(share, np.float64)), np.asarray(figure, np.float64)
+    share = np.minimum(np.nan_to_num(np.asarray(share, np.float64), posinf=MOST_SHARES), MOST_SHARES)
+    figure = np.asarray(figure, np.float64)
     at = (
         []
         if place is None
@@ -284,7 +286,7 @@ def _strip(
 # -- what the run says ------------------------------------------------------------------------------
 
 _LAYER = re.compile(r"\blayer (\d+)")
-_POINT = re.compile(r"\((-?[\d.]+), (-?[\d.]+)(?:, -?[\d.]+)?\)")
+_POINT = re.compile(r"\((-?\d+(?:\.\d+)?), (-?\d+(?:\.\d+)?)[,)]")
 _BLOCK = re.compile(r"\b([\w.-]+\.\w{2,4}):(\d+)\b")
 
 

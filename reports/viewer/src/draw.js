@@ -28,6 +28,11 @@ export class View {
     return Math.max(Math.min(width / Math.max(x1 - x0, 1e-3), height / Math.max(y1 - y0, 1e-3)) * (1 - 2 * MARGIN), 1e-6);
   }
 
+  /** Whether nothing is moved or zoomed. */
+  get isWhole() {
+    return this.zoom === this.whole && this.x === (this.box[0] + this.box[2]) / 2 && this.y === (this.box[1] + this.box[3]) / 2;
+  }
+
   fit() {
     [this.x, this.y, this.zoom] = [(this.box[0] + this.box[2]) / 2, (this.box[1] + this.box[3]) / 2, this.whole];
   }

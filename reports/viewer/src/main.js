@@ -74,8 +74,7 @@ function show() {
   const z = index.z_mm?.[state.layer - 1] ?? index.cut_mm[state.layer - 1];
   const time = layer.time ? `, ${Math.min(state.t, layer.time).toFixed(1)} of ${layer.time.toFixed(1)} s` : "";
   parts.said.textContent = `layer ${state.layer} of ${index.layers}, Z ${z === null || z === undefined ? "unknown" : z.toFixed(3)} mm${time}`;
-  state.at = view.zoom === view.whole ? null : [view.x, view.y];
-  state.zoom = view.zoom === view.whole ? 0 : view.zoom;
+  if (view.canvas.clientWidth) [state.at, state.zoom] = view.isWhole ? [null, 0] : [[view.x, view.y], view.zoom];
   history.replaceState(null, "", states.written(state));
 }
 
@@ -103,7 +102,7 @@ function turned() {
   [parts.canvas.hidden, parts.turned.textContent] = [!parts.solid.hidden, parts.solid.hidden ? "3D" : "2D"];
   solid ||= new Solid(parts.solid, index, store, () => show());
   if (!solid.works) {
-    [parts.solid.hidden, parts.canvas.hidden, parts.turned.disabled] = [true, false, true];
+    [parts.solid.hidden, parts.canvas.hidden, parts.turned.disabled, parts.turned.textContent] = [true, false, true, "3D"];
     parts.under.textContent = "this browser has no WebGL 2: layers are shown in two dimensions";
   }
   show();
@@ -127,6 +126,7 @@ async function blocks(row) {
 async function lines(file, line) {
   const every = await store.lines(file), from = Math.max(line - AROUND, 1);
   state.line = `${file}:${line}`;
+  if (under && under.file === file) under.text = every[under.line - 1] || "";
   parts.text.start = from;
   parts.text.replaceChildren(...every.slice(from - 1, line + AROUND).map((text, n) =>
     make("li", { class: from + n === line ? "now" : "" }, make("button", { type: "button", onclick: () => toLine(file, from + n) }, text || " "))));
@@ -342,7 +342,8 @@ function save(/** @type {Blob} */ blob, /** @type {string} */ ending) {
 
 async function follow() {
   states.read(state, location.hash, index);
-  if (state.at && state.zoom) [view.x, view.y, view.zoom] = [state.at[0], state.at[1], state.zoom];
+  if (state.at) [view.x, view.y] = state.at;
+  if (state.zoom) view.zoom = state.zoom;
   const { line } = state;
   await load();
   if (line) await toLine(...(/** @type {[string, number]} */ ([line.split(":")[0], Number(line.split(":")[1])])));

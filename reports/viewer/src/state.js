@@ -18,6 +18,7 @@ export function read(state, hash, index) {
   const list = (/** @type {string} */ name) => (given.get(name) || "").split(",").filter(Boolean);
   if (Number.isInteger(number("layer"))) state.layer = Math.min(Math.max(number("layer"), 1), Math.max(index.layers, 1));
   if (number("t") >= 0) state.t = number("t");
+  else if (given.has("layer")) state.t = Infinity; // the whole layer
   if (given.has("show")) state.show = list("show").filter((name) => index.slicers.includes(name));
   if (given.has("draw")) state.draw = list("draw").filter((name) => DRAWN.includes(name));
   if (list("pair").length === 2 && list("pair").every((name) => index.slicers.includes(name))) state.pair = list("pair");
